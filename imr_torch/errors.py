@@ -1,0 +1,41 @@
+"""The errors and warnings of the toolkit: one root of each, named leaves below it.
+
+A message says what was expected, what came, and what to do next. A bubble whose solve fails is *not* an error:
+it is a :class:`imr_torch.simulate.Status` on that member, and the rest of the batch goes on.
+"""
+
+
+class ImrError(Exception):
+    """Root of every error that the toolkit raises on purpose."""
+
+
+class InputDataError(ImrError, ValueError):
+    """A value, file or table that the user gave cannot be used as it stands."""
+
+
+class ShapeError(ImrError, ValueError):
+    """A tensor has another shape than the one its argument names."""
+
+
+class UnsupportedError(ImrError, NotImplementedError):
+    """The request is understood, and this part of the toolkit does not do it."""
+
+
+class ConvergenceError(ImrError, RuntimeError):
+    """A computation that everything after it rests on did not converge."""
+
+
+class ImrWarning(UserWarning):
+    """Root of every warning that the toolkit gives."""
+
+
+class InputDataWarning(ImrWarning):
+    """Data were used, and something about them deserves a look."""
+
+
+class ConvergenceWarning(ImrWarning):
+    """A result carries a certificate that says not to lean on it."""
+
+
+class PrecisionWarning(ImrWarning):
+    """The number format is too short for inference (float32)."""

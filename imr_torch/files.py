@@ -1,0 +1,29 @@
+"""Files that are never half written: atomic replacement, and JSON that keeps every bit of a float64."""
+
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+
+def write_atomically(path: Path, write: Callable[[IO[bytes]], None]) -> None:
+    """Let ``write`` fill a temporary file beside ``path``, flush it to disk and rename it into place."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(descriptor, "wb") as stream:
+            write(stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def write_json(path: str | Path, document: Any) -> None:
+    """Write ``document`` as indented JSON, atomically. Non-finite numbers are refused: JSON has no word for them."""
+    text = json.dumps(document, indent=1, allow_nan=False) + "\n"
+    write_atomically(Path(path), lambda stream: stream.write(text.encode()) and None)

@@ -1,0 +1,24 @@
+"""Seeds as a tree: every stochastic step has its own generator, named by what it is for.
+
+``child(seed, "eig", 3)`` depends on the names only, never on how many numbers were drawn before, so a resumed campaign
+draws exactly what the uninterrupted one would have drawn. The global generator is never touched here.
+"""
+
+import hashlib
+
+import torch
+
+SeedLike = int | torch.Generator
+
+
+def child(seed: int, *names: str | int) -> int:
+    """A 63-bit seed that is a function of ``seed`` and the path ``names`` alone."""
+    path = "/".join([str(seed), *map(str, names)])
+    return int.from_bytes(hashlib.sha256(path.encode()).digest()[:8], "big") >> 1
+
+
+def generator(seed: SeedLike, device: torch.device | str = "cpu") -> torch.Generator:
+    """The generator of ``seed``; a generator is passed through, so functions can share one."""
+    if isinstance(seed, torch.Generator):
+        return seed
+    return torch.Generator(device=device).manual_seed(seed)

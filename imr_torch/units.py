@@ -1,0 +1,56 @@
+"""SI to dimensionless numbers and back: the only place where the two meet.
+
+Dimensionless quantities follow Estrada et al. (J. Mech. Phys. Solids 112, 2018): length ``Rmax``, pressure ``p_inf``,
+velocity ``U_c = sqrt(p_inf / rho)``, time ``Rmax / U_c``. The Weber number ``We = p_inf Rmax / (2 gamma)`` therefore
+fixes ``Rmax``, so a design is the pair ``(We, R_inf* = R_inf / Rmax)``.
+"""
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+from torch import Tensor
+
+from imr_torch.errors import InputDataError
+
+Number = TypeVar("Number", float, Tensor)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """The liquid side of the bubble, in SI units.
+
+    Args:
+        far_field_pressure: ``p_inf`` in Pa.
+        density: ``rho`` of the gel in kg/m^3.
+        surface_tension: ``gamma`` in N/m.
+        temperature: ``T_inf`` in K.
+        sound_speed: ``c`` of the gel in m/s.
+    """
+
+    far_field_pressure: float = 101325.0
+    density: float = 1060.0
+    surface_tension: float = 0.056
+    temperature: float = 298.15
+    sound_speed: float = 1430.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0.0 < value < float("inf"):
+                raise InputDataError(f"Surroundings.{name} is {value}; it must be a positive finite number in SI units.")
+
+    @property
+    def velocity_scale(self) -> float:
+        """``U_c`` in m/s."""
+        return (self.far_field_pressure / self.density) ** 0.5
+
+    def weber(self, max_radius: Number) -> Number:
+        """``We`` of a maximum radius in metres."""
+        return max_radius * (self.far_field_pressure / (2.0 * self.surface_tension))
+
+    def max_radius(self, weber: Number) -> Number:
+        """``Rmax`` in metres of a Weber number."""
+        return weber * (2.0 * self.surface_tension / self.far_field_pressure)
+
+    def time_scale(self, max_radius: Number) -> Number:
+        """``Rmax / U_c`` in seconds of a maximum radius in metres."""
+        return max_radius * (1.0 / self.velocity_scale)

@@ -1,0 +1,23 @@
+"""Fixtures shared by all tests: one thread, float64 tensors made explicitly, and the reference data where they exist."""
+
+import os
+from pathlib import Path
+
+import pytest
+import torch
+
+torch.set_num_threads(1)
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Folder of the real experiments and reference curves, which the project may use and not ship.
+
+    Looked for at ``$IMR_TORCH_SHARED``, else in ``shared`` beside the checkout; tests that need it skip without it.
+    """
+    folder = Path(os.environ.get("IMR_TORCH_SHARED", ROOT.parent / "shared"))
+    if not (folder / "data").is_dir():
+        pytest.skip(f"reference data not found at {folder}; set IMR_TORCH_SHARED to the folder that holds data/ and reference/")
+    return folder
