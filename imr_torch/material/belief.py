@@ -1,0 +1,322 @@
+"""Belief: what is thought of a gel - the probability of each model, and a (truncated) Gaussian for its parameters.
+
+Prior, ensemble, posterior and model probabilities are this one object. For each model the free parameters are
+``theta_i = T_i(z_i)`` with the marginals ``T_i`` fixed by the prior, and ``z ~ N(mean, chol chol^T)``; a prior has mean 0
+and identity covariance. So truncation is exact, and conditioning on data keeps the form.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from imr_torch.errors import InputDataError
+from imr_torch.files import write_json
+from imr_torch.material.marginals import Marginal, marginal_from_dict, marginal_to_dict
+from imr_torch.material.models import Material, material
+from imr_torch.material.parameters import PARAMETERS
+from imr_torch.random import SeedLike, generator
+
+_QUADRATURE = 64
+
+
+@dataclass(frozen=True)
+class ModelBelief:
+    """A Gaussian over the controls of one model's free parameters.
+
+    Args:
+        model: key of the constitutive model.
+        marginals: one map per free parameter, in the order of ``names``.
+        mean: ``d`` tensor, controls (dimensionless).
+        chol: ``d x d`` lower triangular tensor, Cholesky factor of the control covariance.
+        known: values of the model's independently measured parameters, SI.
+    """
+
+    model: str
+    marginals: tuple[Marginal, ...]
+    mean: Tensor
+    chol: Tensor
+    known: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        kind = material(self.model)
+        if set(self.known) != set(kind.known):
+            raise InputDataError(
+                f"Model {self.model!r} needs known values of {list(kind.known) or 'nothing'}, got {list(self.known) or 'nothing'}."
+            )
+        for name, value in self.known.items():
+            PARAMETERS.check(name, torch.tensor(value))
+        d = len(kind.free)
+        if len(self.marginals) != d:
+            raise InputDataError(f"Model {self.model!r} has free parameters {kind.free}; got {len(self.marginals)} marginals.")
+        if self.mean.shape != (d,) or self.chol.shape != (d, d):
+            raise InputDataError(
+                f"Model {self.model!r}: expected mean of shape ({d},) and chol of ({d}, {d}), "
+                f"got {tuple(self.mean.shape)} and {tuple(self.chol.shape)}."
+            )
+        if not (bool(torch.isfinite(self.mean).all()) and bool((self.chol.diagonal() > 0.0).all())):
+            raise InputDataError(f"Model {self.model!r}: mean must be finite and the diagonal of chol positive.")
+
+    @property
+    def material(self) -> Material:
+        """The constitutive model."""
+        return material(self.model)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Free parameters."""
+        return self.material.free
+
+    def controls(self, count: int, *, seed: SeedLike) -> Tensor:
+        """``count x d`` independent draws of the controls."""
+        noise = torch.randn(count, len(self.names), generator=generator(seed), dtype=self.mean.dtype)
+        return self.mean + noise.to(self.mean.device) @ self.chol.mT
+
+    def physical(self, controls: Tensor) -> Tensor:
+        """Free parameters in SI at controls; ``... x d`` to ``... x d``."""
+        columns = [m.to_physical(controls[..., i]) for i, m in enumerate(self.marginals)]
+        return torch.stack(columns, dim=-1)
+
+    def to_controls(self, values: Tensor) -> Tensor:
+        """Inverse of :meth:`physical`."""
+        columns = [m.to_control(values[..., i]) for i, m in enumerate(self.marginals)]
+        return torch.stack(columns, dim=-1)
+
+    def parameters(self, controls: Tensor) -> Tensor:
+        """Shared parameter vectors at controls: ``... x d`` to ``... x p``, SI; what is not of the model is neutral."""
+        values = self.physical(controls)
+        packed = PARAMETERS.neutral(*values.shape[:-1], dtype=values.dtype).to(values.device)
+        for name, value in self.known.items():
+            packed[..., PARAMETERS.index([name])[0]] = value
+        return packed.index_copy(-1, torch.tensor(PARAMETERS.index(self.names), device=values.device), values)
+
+    def log_prob_controls(self, controls: Tensor) -> Tensor:
+        """Log density of the Gaussian at controls: ``... x d`` to ``...``."""
+        d = len(self.names)
+        whitened = torch.linalg.solve_triangular(self.chol, (controls - self.mean)[..., None], upper=False)[..., 0]
+        constant = -0.5 * d * math.log(2.0 * math.pi) - torch.log(self.chol.diagonal()).sum()
+        return constant - 0.5 * whitened.square().sum(-1)
+
+    def log_prob(self, values: Tensor) -> Tensor:
+        """Log density of free parameters in SI: ``... x d`` to ``...`` (per product of their units)."""
+        controls = self.to_controls(values)
+        slopes = sum(m.log_slope(controls[..., i]) for i, m in enumerate(self.marginals))
+        return self.log_prob_controls(controls) - slopes
+
+    def quantile(self, levels: Sequence[float] | Tensor) -> Tensor:
+        """Quantiles of each marginal: ``levels`` (n) to ``n x d``, SI. Exact, since each map is monotone."""
+        levels = torch.as_tensor(levels, dtype=self.mean.dtype, device=self.mean.device)
+        sd = torch.linalg.norm(self.chol, dim=-1)
+        return self.physical(self.mean + sd * torch.special.ndtri(levels)[:, None])
+
+    @cached_property
+    def _nodes(self) -> tuple[Tensor, Tensor]:
+        """Gauss-Hermite nodes (``n x d`` controls of each marginal) and weights (``n``)."""
+        nodes, weights = np.polynomial.hermite_e.hermegauss(_QUADRATURE)
+        sd = torch.linalg.norm(self.chol, dim=-1)
+        z = self.mean + sd * torch.as_tensor(nodes, dtype=self.mean.dtype, device=self.mean.device)[:, None]
+        return z, torch.as_tensor(weights / weights.sum(), dtype=self.mean.dtype, device=self.mean.device)
+
+    @property
+    def means(self) -> Tensor:
+        """Posterior mean of each free parameter (``d``), SI."""
+        z, weights = self._nodes
+        return weights @ self.physical(z)
+
+    @property
+    def sds(self) -> Tensor:
+        """Standard deviation of each free parameter (``d``), SI."""
+        z, weights = self._nodes
+        values = self.physical(z)
+        return (weights @ (values - weights @ values).square()).sqrt()
+
+    def entropy(self) -> Tensor:
+        """Differential entropy of the parameters in nats (with SI units), a 0-d tensor."""
+        d = len(self.names)
+        gaussian = 0.5 * d * (1.0 + math.log(2.0 * math.pi)) + torch.log(self.chol.diagonal()).sum()
+        z, weights = self._nodes
+        return gaussian + sum(weights @ m.log_slope(z[:, i]) for i, m in enumerate(self.marginals))
+
+    def with_gaussian(self, mean: Tensor, chol: Tensor) -> "ModelBelief":
+        """The same maps with another Gaussian of the controls."""
+        return replace(self, mean=mean, chol=chol)
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Joint draws of model and parameters.
+
+    Args:
+        model_index: ``n`` integer tensor, which model of the belief each draw is of.
+        parameters: ``n x p`` shared parameter vectors, SI.
+    """
+
+    model_index: Tensor
+    parameters: Tensor
+
+
+@dataclass(frozen=True)
+class Belief:
+    """Model probabilities and the parameters of each model.
+
+    Args:
+        models: one :class:`ModelBelief` per candidate.
+        log_probabilities: ``M`` tensor, log probability of each; normalised on construction.
+    """
+
+    models: tuple[ModelBelief, ...]
+    log_probabilities: Tensor
+
+    def __post_init__(self) -> None:
+        keys = [m.model for m in self.models]
+        if not keys or len(set(keys)) != len(keys):
+            raise InputDataError(f"A belief needs at least one model and each once, got {keys}.")
+        if self.log_probabilities.shape != (len(keys),) or bool(torch.isnan(self.log_probabilities).any()):
+            raise InputDataError(
+                f"log_probabilities must be {len(keys)} numbers, one for each of {keys}; got {self.log_probabilities.tolist()}."
+            )
+        object.__setattr__(self, "log_probabilities", torch.log_softmax(self.log_probabilities, dim=0))
+
+    @classmethod
+    def prior(
+        cls,
+        models: Mapping[str, Mapping[str, Marginal]],
+        *,
+        probabilities: Mapping[str, float] | None = None,
+        known: Mapping[str, float] | None = None,
+    ) -> "Belief":
+        """A belief with independent parameters.
+
+        Args:
+            models: model key -> parameter name -> marginal, one for each free parameter of the model.
+            probabilities: model key -> prior probability; equal when not given.
+            known: values of parameters that a model takes as measured, SI.
+
+        Raises:
+            InputDataError: for an unknown model or parameter, a missing marginal, or probabilities that do not fit.
+        """
+        parts = []
+        for key, marginals in models.items():
+            kind = material(key)
+            if set(marginals) != set(kind.free):
+                raise InputDataError(f"Model {key!r} needs a prior of each of {kind.free}; got {tuple(marginals)}.")
+            missing = [name for name in kind.known if name not in (known or {})]
+            if missing:
+                raise InputDataError(f"Model {key!r} takes {missing} as known; give its value in SI units in `known`.")
+            d = len(kind.free)
+            fixed = {name: float((known or {})[name]) for name in kind.known}
+            ordered = tuple(marginals[name] for name in kind.free)
+            parts.append(
+                ModelBelief(key, ordered, torch.zeros(d, dtype=torch.float64), torch.eye(d, dtype=torch.float64), fixed)
+            )
+        weights = probabilities or dict.fromkeys(models, 1.0)
+        if set(weights) != set(models) or not all(0.0 <= w < math.inf for w in weights.values()) or sum(weights.values()) <= 0:
+            raise InputDataError(f"probabilities must be non-negative, one for each of {list(models)}; got {dict(weights)}.")
+        return cls(tuple(parts), torch.log(torch.tensor([weights[key] for key in models], dtype=torch.float64)))
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Model keys in order."""
+        return tuple(m.model for m in self.models)
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Model key -> probability."""
+        return dict(zip(self.keys, self.log_probabilities.exp().tolist(), strict=True))
+
+    @property
+    def best(self) -> ModelBelief:
+        """The most probable model."""
+        return self.models[int(self.log_probabilities.argmax())]
+
+    def __getitem__(self, key: str) -> ModelBelief:
+        for part in self.models:
+            if part.model == key:
+                return part
+        raise InputDataError(f"Model {key!r} is not part of this belief; it holds {', '.join(self.keys)}.")
+
+    def sample(self, count: int, *, seed: SeedLike) -> Draws:
+        """``count`` joint draws of model and parameters."""
+        source = generator(seed)
+        index = torch.multinomial(self.log_probabilities.exp().cpu(), count, replacement=True, generator=source)
+        parameters = PARAMETERS.neutral(count)
+        for i, part in enumerate(self.models):
+            chosen = index == i
+            drawn = part.parameters(part.controls(count, seed=source))
+            parameters[chosen] = drawn[chosen].to(parameters)
+        return Draws(index, parameters)
+
+    def log_prob(self, draws: Draws) -> Tensor:
+        """Joint log density of model and parameters of each draw (``n``)."""
+        result = torch.empty(draws.parameters.shape[0], dtype=draws.parameters.dtype)
+        for i, part in enumerate(self.models):
+            chosen = draws.model_index == i
+            values = draws.parameters[chosen][:, PARAMETERS.index(part.names)]
+            result[chosen] = self.log_probabilities[i] + part.log_prob(values)
+        return result
+
+    def entropy(self) -> Tensor:
+        """Entropy of model and parameters together, in nats: ``H(model) + E[H(parameters | model)]``."""
+        weights = self.log_probabilities.exp()
+        models = -torch.xlogy(weights, weights).sum()
+        return models + (weights * torch.stack([part.entropy() for part in self.models])).sum()
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready values; floats keep every bit."""
+        return {
+            "format": "imr_torch belief 1",
+            "log_probabilities": [None if math.isinf(v) else v for v in self.log_probabilities.tolist()],
+            "models": [
+                {
+                    "model": part.model,
+                    "names": list(part.names),
+                    "marginals": [marginal_to_dict(m) for m in part.marginals],
+                    "mean": part.mean.tolist(),
+                    "chol": part.chol.tolist(),
+                    "known": dict(part.known),
+                }
+                for part in self.models
+            ],
+        }
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> "Belief":
+        """Inverse of :meth:`to_dict`.
+
+        Raises:
+            InputDataError: if the document is not a belief, or its parameter names differ from the models'.
+        """
+        if document.get("format") != "imr_torch belief 1":
+            raise InputDataError(f"Expected a document of the format 'imr_torch belief 1', got {document.get('format')!r}.")
+        parts = []
+        for entry in document["models"]:
+            if tuple(entry["names"]) != material(entry["model"]).free:
+                raise InputDataError(f"Saved parameters {entry['names']} are not those of {entry['model']!r}.")
+            mean = torch.tensor(entry["mean"], dtype=torch.float64)
+            chol = torch.tensor(entry["chol"], dtype=torch.float64).reshape(len(mean), len(mean))
+            marginals = tuple(marginal_from_dict(m) for m in entry["marginals"])
+            parts.append(ModelBelief(entry["model"], marginals, mean, chol, entry["known"]))
+        logs = [-math.inf if v is None else v for v in document["log_probabilities"]]
+        belief = cls.__new__(cls)  # as saved: normalising twice would change the last bit
+        object.__setattr__(belief, "models", tuple(parts))
+        object.__setattr__(belief, "log_probabilities", torch.tensor(logs, dtype=torch.float64))
+        return belief
+
+    def save(self, path: str | Path) -> None:
+        """Write the belief as JSON, atomically."""
+        write_json(path, self.to_dict())
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Belief":
+        """Read a belief that :meth:`save` wrote."""
+        try:
+            return cls.from_dict(json.loads(Path(path).read_text()))
+        except (OSError, json.JSONDecodeError) as error:
+            raise InputDataError(f"{path}: not a saved belief ({error}).") from None

@@ -1,0 +1,99 @@
+"""Priors that ship with the toolkit: the two synthetic reference cases of the literature, and wide ones for new gels.
+
+Reference cases: Chu, Estrada & Bryngelson, arXiv 2409.00011 (2024), polyacrylamide (PA) gels.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from imr_torch.errors import InputDataError
+from imr_torch.material.belief import Belief
+from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
+from imr_torch.material.models import material
+
+
+@dataclass(frozen=True)
+class ReferenceCase:
+    """A synthetic campaign: the true gel and what is believed at the start.
+
+    Args:
+        key: name on the command line.
+        truth_model: model that makes the data.
+        truth: its parameters, SI.
+        prior: the belief before the first experiment.
+    """
+
+    key: str
+    truth_model: str
+    truth: Mapping[str, float]
+    prior: Belief
+
+
+def _positive(mean: float, sd: float) -> TruncatedNormal:
+    return TruncatedNormal(mean, sd, lower=0.0)
+
+
+CASES: dict[str, ReferenceCase] = {
+    case.key: case
+    for case in (
+        ReferenceCase(
+            "stiff-pa",
+            "gen_qkv",
+            {"G": 2770.0, "mu": 0.186, "alpha": 0.48},
+            Belief.prior(
+                {
+                    "nhkv": {"G": _positive(15090.0, 4350.0), "mu": _positive(0.209, 0.18)},
+                    "gen_qkv": {
+                        "G": _positive(2770.0, 300.0),
+                        "mu": _positive(0.286, 0.186),
+                        "alpha": TruncatedNormal(0.28, 0.48, lower=0.0),
+                    },
+                }
+            ),
+        ),
+        ReferenceCase(
+            "soft-pa",
+            "nhkv",
+            {"G": 8310.0, "mu": 0.093},
+            Belief.prior(
+                {
+                    "nhkv": {"G": _positive(12000.0, 6350.0), "mu": _positive(0.14, 0.073)},
+                    "gen_qkv": {
+                        "G": _positive(570.0, 60.0),
+                        "mu": _positive(0.08, 0.05),
+                        "alpha": TruncatedNormal(0.96, 0.48, lower=0.0),
+                    },
+                }
+            ),
+        ),
+    )
+}
+"""Key -> reference case."""
+
+
+def reference_case(key: str) -> ReferenceCase:
+    """The reference case of a key.
+
+    Raises:
+        InputDataError: for an unknown key; the message lists the known ones.
+    """
+    if key not in CASES:
+        raise InputDataError(f"Unknown case {key!r}; known are {', '.join(CASES)}.")
+    return CASES[key]
+
+
+_WIDE: dict[str, Marginal] = {
+    "G": LogNormal(median=5e3, factor=5.0),
+    "mu": LogNormal(median=0.1, factor=3.0),
+    "alpha": TruncatedNormal(0.0, 0.5, lower=0.0),
+}
+
+
+def wide_prior(models: Sequence[str] = ("newtonian", "nhkv", "gen_qkv"), *, known: Mapping[str, float] | None = None) -> Belief:
+    """A belief for a soft gel of which nothing is known: G within 1-25 kPa and mu within .03-.3 Pa s at 68 %.
+
+    Args:
+        models: candidate models, equally probable.
+        known: values of parameters that a model takes as measured (qKV: the quasi-static G), SI.
+    """
+    return Belief.prior({key: {name: _WIDE[name] for name in material(key).free} for key in models}, known=known)

@@ -1,0 +1,162 @@
+"""Prior marginals as maps from a standard normal control variable ``z`` to a physical parameter.
+
+A parameter is written ``theta = T(z)``, and with ``z ~ N(0, 1)`` it has exactly the stated prior. Assimilation works on
+``z``, where bounds do not exist and a Gaussian is a fair picture (Gaussian anamorphosis: Simon & Bertino, Ocean Sci. 5,
+2009). An unbounded normal is the identity up to scale, so nothing is lost where nothing is truncated.
+"""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+from torch.special import ndtri
+
+from imr_torch.errors import InputDataError
+
+
+class Marginal(Protocol):
+    """A monotone map from ``z`` to a parameter and back; all methods act elementwise on any shape."""
+
+    def to_physical(self, z: Tensor) -> Tensor:
+        """Parameter in SI units at the control ``z``."""
+        ...
+
+    def to_control(self, value: Tensor) -> Tensor:
+        """Control ``z`` at a parameter value inside the support."""
+        ...
+
+    def log_slope(self, z: Tensor) -> Tensor:
+        """``log |d theta / d z|``."""
+        ...
+
+
+def ndtr(x: Tensor) -> Tensor:
+    """Normal distribution function with full relative precision in the tail (``torch.special.ndtr`` is 0 below -8.3)."""
+    return 0.5 * torch.erfc(-x / math.sqrt(2.0))
+
+
+def _normal_log_pdf(x: Tensor) -> Tensor:
+    return -0.5 * x * x - 0.5 * math.log(2.0 * math.pi)
+
+
+@dataclass(frozen=True)
+class TruncatedNormal:
+    """A normal distribution cut off at ``lower`` and ``upper``.
+
+    Args:
+        mean: mean of the normal before truncation, SI.
+        sd: its standard deviation, SI.
+        lower: lower bound, SI (may be ``-inf``).
+        upper: upper bound, SI (may be ``inf``).
+    """
+
+    mean: float
+    sd: float
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.mean) and 0.0 < self.sd < math.inf):
+            raise InputDataError(
+                f"TruncatedNormal(mean={self.mean}, sd={self.sd}): the spread sd must be positive and finite. "
+                "A parameter that is known exactly belongs in `known`, not in a prior."
+            )
+        if not self.lower < self.upper:
+            raise InputDataError(f"TruncatedNormal: lower bound {self.lower} is not below upper bound {self.upper}.")
+        if self._tails()[0] + self._tails()[1] > 1.0 - 1e-12:
+            raise InputDataError(
+                f"TruncatedNormal(mean={self.mean}, sd={self.sd}) has no mass between {self.lower} and {self.upper}; "
+                "move the mean towards the bounds or widen sd."
+            )
+
+    def _tails(self) -> tuple[float, float]:
+        """Mass cut off below and above."""
+        below = 0.5 * math.erfc(-(self.lower - self.mean) / self.sd / math.sqrt(2.0))
+        above = 0.5 * math.erfc((self.upper - self.mean) / self.sd / math.sqrt(2.0))
+        return below, above
+
+    def _standard(self, z: Tensor) -> Tensor:
+        """The standardised value; each half is computed from its own tail, so neither loses digits."""
+        below, above = self._tails()
+        kept = 1.0 - below - above
+        from_below = ndtri(below + kept * ndtr(torch.minimum(z, torch.zeros_like(z))))
+        from_above = -ndtri(above + kept * ndtr(-torch.maximum(z, torch.zeros_like(z))))
+        return torch.where(z < 0.0, from_below, from_above)
+
+    def to_physical(self, z: Tensor) -> Tensor:
+        """See :class:`Marginal`."""
+        value = self.mean + self.sd * self._standard(z)
+        return value.clamp(self.lower, self.upper)
+
+    def to_control(self, value: Tensor) -> Tensor:
+        """See :class:`Marginal`."""
+        below, above = self._tails()
+        kept = 1.0 - below - above
+        x = (value - self.mean) / self.sd
+        cumulative = ((ndtr(x) - below) / kept).clamp(0.0, 1.0)
+        survival = ((ndtr(-x) - above) / kept).clamp(0.0, 1.0)
+        return torch.where(cumulative < 0.5, ndtri(cumulative), -ndtri(survival))
+
+    def log_slope(self, z: Tensor) -> Tensor:
+        """See :class:`Marginal`."""
+        below, above = self._tails()
+        kept = math.log(self.sd) + math.log1p(-below - above)
+        return kept + _normal_log_pdf(z) - _normal_log_pdf(self._standard(z))
+
+
+@dataclass(frozen=True)
+class LogNormal:
+    """A log-normal distribution, for a scale that is unknown by factors.
+
+    Args:
+        median: median, SI.
+        factor: the 68 % interval is ``median / factor`` to ``median * factor``.
+    """
+
+    median: float
+    factor: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.median < math.inf:
+            raise InputDataError(f"LogNormal.median is {self.median}; it must be positive and finite, in SI units.")
+        if not 1.0 < self.factor < math.inf:
+            raise InputDataError(f"LogNormal.factor is {self.factor}; a spread needs a factor above 1 (2 means 'within twofold').")
+
+    def to_physical(self, z: Tensor) -> Tensor:
+        """See :class:`Marginal`."""
+        return self.median * torch.exp(math.log(self.factor) * z)
+
+    def to_control(self, value: Tensor) -> Tensor:
+        """See :class:`Marginal`."""
+        return torch.log(value / self.median) / math.log(self.factor)
+
+    def log_slope(self, z: Tensor) -> Tensor:
+        """See :class:`Marginal`."""
+        return math.log(self.median * math.log(self.factor)) + math.log(self.factor) * z
+
+
+MARGINALS = {kind.__name__: kind for kind in (TruncatedNormal, LogNormal)}
+
+
+def marginal_to_dict(marginal: Marginal) -> dict[str, Any]:
+    """The marginal as JSON-ready values; infinite bounds become ``None``."""
+    fields = {k: (None if math.isinf(v) else v) for k, v in asdict(marginal).items()}  # type: ignore[call-overload]
+    return {"kind": type(marginal).__name__, **fields}
+
+
+def marginal_from_dict(document: dict[str, Any]) -> Marginal:
+    """Inverse of :func:`marginal_to_dict`.
+
+    Raises:
+        InputDataError: for an unknown kind or a field that the kind does not have.
+    """
+    fields = {k: v for k, v in document.items() if v is not None}
+    kind = fields.pop("kind", None)
+    if kind not in MARGINALS:
+        raise InputDataError(f"Unknown prior kind {kind!r}; known are {', '.join(MARGINALS)}.")
+    try:
+        return MARGINALS[kind](**fields)
+    except TypeError as error:
+        raise InputDataError(f"Prior of the kind {kind}: {error}.") from None

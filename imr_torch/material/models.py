@@ -1,0 +1,134 @@
+"""Constitutive models: named sets of stress terms, in one registry that drives the same tests through every model.
+
+To add a model, subclass :class:`Material` in one file, name its terms, and register an instance.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+from torch import Tensor
+
+from imr_torch.errors import InputDataError
+from imr_torch.material.parameters import PARAMETERS, Parameter
+from imr_torch.material.stress import Stress, StressTerm
+from imr_torch.material.terms import NeoHookeanElasticity, NewtonianViscosity, StrainStiffening, stress_integral
+
+
+class Material:
+    """A constitutive model.
+
+    Attributes:
+        key: name in the registry and on the command line.
+        title: name in tables and figures.
+        reference: where the model is defined.
+        terms: the stress terms that add up to its stress integral.
+        known: parameters that must be measured independently (quasi-statically) and are not inferred.
+    """
+
+    key: ClassVar[str]
+    title: ClassVar[str]
+    reference: ClassVar[str]
+    terms: ClassVar[tuple[StressTerm, ...]]
+    known: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All parameters that the model reads, in the order of the parameter vector."""
+        used = {name for term in self.terms for name in term.names}
+        return tuple(name for name in PARAMETERS.names if name in used)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The parameters that are inferred: ``names`` without ``known``."""
+        return tuple(name for name in self.names if name not in self.known)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Units, bounds and neutral values of ``names``."""
+        return tuple(PARAMETERS[name] for name in self.names)
+
+    def stress(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
+        """The model's stress integral; all arguments dimensionless, see :class:`~imr_torch.material.stress.Stress`."""
+        return stress_integral(self.terms, radius, velocity, rest_radius, theta)
+
+    def __repr__(self) -> str:
+        return f"<{self.title}: {', '.join(self.names)}>"
+
+
+class Newtonian(Material):
+    """A viscous liquid without elasticity."""
+
+    key, title = "newtonian", "Newtonian"
+    reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
+    terms = (NewtonianViscosity(),)
+
+
+class NeoHookean(Material):
+    """An elastic solid without viscosity."""
+
+    key, title = "nhe", "NHE"
+    reference = "Gaudron, Warnez & Johnsen, J. Fluid Mech. 766 (2015)"
+    terms = (NeoHookeanElasticity(),)
+
+
+class NeoHookeanKelvinVoigt(Material):
+    """A neo-Hookean spring beside a Newtonian dashpot: the model most gels are first tried with."""
+
+    key, title = "nhkv", "NHKV"
+    reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
+    terms = (NewtonianViscosity(), NeoHookeanElasticity())
+
+
+class QuadraticKelvinVoigt(Material):
+    """NHKV with quadratic strain stiffening; its modulus is the known quasi-static one."""
+
+    key, title = "qkv", "qKV"
+    reference = "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)"
+    terms = (NewtonianViscosity(), NeoHookeanElasticity(), StrainStiffening())
+    known = ("G",)
+
+
+class GeneralizedQuadraticKelvinVoigt(Material):
+    """qKV whose modulus is uncertain and inferred with the rest."""
+
+    key, title = "gen_qkv", "Gen. qKV"
+    reference = "Chu, Estrada & Bryngelson, arXiv 2409.00011 (2024)"
+    terms = QuadraticKelvinVoigt.terms
+
+
+MATERIALS: dict[str, Material] = {}
+"""Key -> constitutive model."""
+
+
+def register(material: Material) -> Material:
+    """Add a model to the registry; its key must be new."""
+    if material.key in MATERIALS:
+        raise InputDataError(f"A material of the key {material.key!r} is registered already: {MATERIALS[material.key]!r}.")
+    MATERIALS[material.key] = material
+    return material
+
+
+def material(key: str) -> Material:
+    """The model of a key.
+
+    Raises:
+        InputDataError: for an unknown key; the message lists the known ones.
+    """
+    if key not in MATERIALS:
+        raise InputDataError(f"Unknown model {key!r}; known are {', '.join(MATERIALS)}.")
+    return MATERIALS[key]
+
+
+def materials(keys: Sequence[str]) -> tuple[Material, ...]:
+    """The models of several keys, in that order."""
+    return tuple(material(key) for key in keys)
+
+
+for _model in (
+    Newtonian(),
+    NeoHookean(),
+    NeoHookeanKelvinVoigt(),
+    QuadraticKelvinVoigt(),
+    GeneralizedQuadraticKelvinVoigt(),
+):
+    register(_model)

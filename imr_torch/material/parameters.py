@@ -1,0 +1,164 @@
+"""The one parameter vector that every stage shares.
+
+Each entry has a name, a unit, hard bounds and a *neutral value* at which it does nothing. A constitutive model is a set of
+names; everything else stays neutral, so one batch may mix models. Tensors of parameters have the shape
+``batch_shape x p`` with ``p = len(PARAMETERS)``, in SI units, in the order of registration.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from imr_torch.errors import InputDataError
+from imr_torch.units import Surroundings
+
+Dimension = Literal["pressure", "viscosity", "time", "none"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One entry of the parameter vector.
+
+    Args:
+        name: key used everywhere, for example ``"G"``.
+        meaning: one phrase for tables and axis labels.
+        unit: SI unit as printed.
+        dimension: which scale makes it dimensionless (see :func:`dimensionless`).
+        lower: smallest admissible value (physics, not belief).
+        upper: largest admissible value.
+        neutral: value at which the entry does nothing, exactly.
+        display_scale: factor from SI to ``display_unit``.
+        display_unit: unit in which people quote it.
+    """
+
+    name: str
+    meaning: str
+    unit: str
+    dimension: Dimension
+    lower: float
+    upper: float
+    neutral: float
+    display_scale: float = 1.0
+    display_unit: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.lower <= self.neutral <= self.upper:
+            raise InputDataError(
+                f"Parameter {self.name!r}: neutral value {self.neutral} lies outside its bounds [{self.lower}, {self.upper}]."
+            )
+
+    @property
+    def label(self) -> str:
+        """``meaning (unit)`` in display units."""
+        unit = self.display_unit or self.unit
+        return f"{self.name} ({unit})" if unit not in ("", "1") else self.name
+
+
+class ParameterVector:
+    """The ordered register of parameters, and the layout of every parameter tensor."""
+
+    def __init__(self) -> None:
+        self._entries: dict[str, Parameter] = {}
+
+    def register(self, parameter: Parameter) -> Parameter:
+        """Append an entry; a second one of the same name must be identical."""
+        known = self._entries.get(parameter.name)
+        if known is not None and known != parameter:
+            raise InputDataError(f"Parameter {parameter.name!r} is registered already with another definition: {known}.")
+        self._entries[parameter.name] = parameter
+        return parameter
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __iter__(self):
+        return iter(self._entries.values())
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries
+
+    def __getitem__(self, name: str) -> Parameter:
+        try:
+            return self._entries[name]
+        except KeyError:
+            raise InputDataError(f"Unknown parameter {name!r}; known are {', '.join(self._entries)}.") from None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in the order of the tensor's last dimension."""
+        return tuple(self._entries)
+
+    def index(self, names: Sequence[str]) -> list[int]:
+        """Columns of ``names`` in a parameter tensor."""
+        order = self.names
+        return [order.index(self[name].name) for name in names]
+
+    def neutral(self, *batch_shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
+        """A ``batch_shape x p`` tensor of neutral values: a bubble in an inviscid liquid without elasticity."""
+        row = torch.tensor([p.neutral for p in self], dtype=dtype)
+        return row.expand(*batch_shape, len(self)).clone()
+
+    def pack(self, values: Mapping[str, float | Tensor]) -> Tensor:
+        """Put named values into a parameter tensor; what is not named is neutral.
+
+        Args:
+            values: name -> number or tensor, SI units; tensors broadcast to a common ``batch_shape``.
+
+        Returns:
+            ``batch_shape x p`` tensor in the dtype and device of the given tensors (float64 for plain numbers).
+
+        Raises:
+            InputDataError: for an unknown name, or a value that is not finite or outside the parameter's bounds.
+        """
+        columns = {self[name].name: torch.as_tensor(value) for name, value in values.items()}
+        floating = [c for c in columns.values() if c.is_floating_point() and c.ndim > 0]
+        dtype = floating[0].dtype if floating else torch.float64
+        shape = torch.broadcast_shapes(*[c.shape for c in columns.values()]) if columns else ()
+        packed = self.neutral(*shape, dtype=dtype)
+        if floating:
+            packed = packed.to(floating[0].device)
+        for name, column in columns.items():
+            self.check(name, column)
+            packed = packed.index_copy(-1, torch.tensor(self.index([name])), column.to(packed).expand(shape)[..., None])
+        return packed
+
+    def check(self, name: str, value: Tensor) -> None:
+        """Raise :class:`InputDataError` where a value is not finite or outside the bounds of ``name``."""
+        entry = self[name]
+        bad = ~((value >= entry.lower) & (value <= entry.upper))
+        if bool(bad.any()):
+            worst = float(value[bad].reshape(-1)[0]) if value.ndim else float(value)
+            raise InputDataError(
+                f"Parameter {name!r} is {worst:g} {entry.unit}; expected a value in [{entry.lower:g}, {entry.upper:g}] "
+                f"{entry.unit} ({entry.meaning}). Parameters are given in SI units."
+            )
+
+
+PARAMETERS = ParameterVector()
+
+SHEAR_MODULUS = PARAMETERS.register(
+    Parameter("G", "shear modulus", "Pa", "pressure", 0.0, 1e7, 0.0, display_scale=1e-3, display_unit="kPa")
+)
+VISCOSITY = PARAMETERS.register(Parameter("mu", "viscosity", "Pa s", "viscosity", 0.0, 100.0, 0.0))
+STIFFENING = PARAMETERS.register(Parameter("alpha", "strain stiffening", "1", "none", -1.0, 100.0, 0.0))
+
+
+def dimensionless(parameters: Tensor, max_radius: Tensor, surroundings: Surroundings) -> dict[str, Tensor]:
+    """The parameters of each bubble in dimensionless form.
+
+    Args:
+        parameters: ``batch_shape x p`` tensor, SI.
+        max_radius: ``batch_shape`` tensor, m.
+        surroundings: the liquid side.
+
+    Returns:
+        Name -> ``batch_shape`` tensor: moduli as ``1/Ca = G/p_inf``, viscosities as ``1/Re = mu U_c/(p_inf Rmax)``,
+        times as ``De = tau U_c/Rmax`` (Estrada et al. 2018, section 2.3).
+    """
+    time = surroundings.time_scale(max_radius)
+    pressure = surroundings.far_field_pressure
+    factor = {"pressure": 1.0 / pressure, "viscosity": 1.0 / (pressure * time), "time": 1.0 / time, "none": 1.0}
+    return {entry.name: parameters[..., i] * factor[entry.dimension] for i, entry in enumerate(PARAMETERS)}

@@ -1,0 +1,86 @@
+"""The stress terms of the Kelvin-Voigt family: Newtonian viscosity, neo-Hookean elasticity, strain stiffening.
+
+Sources: Gaudron, Warnez & Johnsen (J. Fluid Mech. 766, 2015) for the neo-Hookean integral; Yang et al. (Soft Matter 16,
+2020) for the quadratic (qKV) strain-stiffening term; Estrada et al. (2018) for the viscous one.
+"""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from imr_torch.material.stress import Stress, StressTerm
+
+
+class NewtonianViscosity:
+    """``S = -4 U / (Re R)`` (Estrada et al. 2018, eq. 10)."""
+
+    names = ("mu",)
+    switch = "mu"
+
+    def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
+        """See :class:`imr_torch.material.stress.StressTerm`."""
+        factor = -4.0 * theta["mu"] / radius
+        value = factor * velocity
+        return Stress(value, -value * velocity / radius, factor)
+
+
+class NeoHookeanElasticity:
+    """``S = -(5 - 4/l - 1/l^4) / (2 Ca)`` with ``l = R/R_inf`` (Gaudron et al. 2015, eq. 2.22)."""
+
+    names = ("G",)
+    switch = "G"
+
+    def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
+        """See :class:`imr_torch.material.stress.StressTerm`."""
+        inverse = rest_radius / radius
+        cubed = inverse**3
+        half = 0.5 * theta["G"]
+        value = -half * (5.0 - inverse * (4.0 + cubed))
+        slope = -4.0 * half * inverse * (1.0 + cubed)  # dS/d(ln l)
+        return Stress(value, slope * velocity / radius, torch.zeros_like(value))
+
+
+class StrainStiffening:
+    """The quadratic term of qKV, ``(alpha/Ca)(177/20 + 1/(4 l^8) + 2/(5 l^5) - 3/(2 l^4) + 2/l^2 - 6/l - 4 l)``.
+
+    Yang et al. (2020), eq. 13; ``alpha`` weighs the square of the first invariant ``I_1 - 3``.
+    """
+
+    names = ("G", "alpha")
+    switch = "alpha"
+
+    def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
+        """See :class:`imr_torch.material.stress.StressTerm`."""
+        x = rest_radius / radius
+        stretch = radius / rest_radius
+        x2 = x * x
+        x4 = x2 * x2
+        scale = theta["alpha"] * theta["G"]
+        value = scale * (8.85 + 0.25 * x4 * x4 + 0.4 * x4 * x - 1.5 * x4 + 2.0 * x2 - 6.0 * x - 4.0 * stretch)
+        slope = scale * (-2.0 * x4 * x4 - 2.0 * x4 * x + 6.0 * x4 - 4.0 * x2 + 6.0 * x - 4.0 * stretch)  # dS/d(ln l)
+        return Stress(value, slope * velocity / radius, torch.zeros_like(value))
+
+
+TERMS: tuple[StressTerm, ...] = (NewtonianViscosity(), NeoHookeanElasticity(), StrainStiffening())
+"""Every term a batch may need. Terms that are neutral in the whole batch cost nothing: see ``active_terms``."""
+
+
+def active_terms(theta: Mapping[str, Tensor]) -> tuple[StressTerm, ...]:
+    """Terms that do something for at least one member of the batch ``theta`` (neutral values are zero)."""
+    return tuple(term for term in TERMS if bool((theta[term.switch] != 0.0).any()))
+
+
+def stress_integral(
+    terms: tuple[StressTerm, ...],
+    radius: Tensor,
+    velocity: Tensor,
+    rest_radius: Tensor,
+    theta: Mapping[str, Tensor],
+) -> Stress:
+    """Sum of ``terms``; see :class:`imr_torch.material.stress.StressTerm` for the arguments."""
+    zero = torch.zeros_like(radius)
+    total = Stress(zero, zero, zero)
+    for term in terms:
+        total = total + term(radius, velocity, rest_radius, theta)
+    return total
