@@ -1,0 +1,117 @@
+"""The simulator's contract: parameters, designs and times in; radii, velocities, pressures and a status out.
+
+Everything above this stage talks to :class:`Simulator` only, so a simulator with other physics, on another device or in
+another process can take its place. A bubble whose solve fails is data: its status says so and its numbers are NaN.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from imr_torch.errors import ShapeError
+from imr_torch.material import PARAMETERS
+from imr_torch.simulate.conditions import Conditions
+
+
+class Status(IntEnum):
+    """How the solve of one bubble ended."""
+
+    DONE = 0
+    TOO_MANY_STEPS = 1
+    NON_FINITE = 2
+    RUNAWAY = 3
+
+    @property
+    def advice(self) -> str:
+        """One sentence for the user."""
+        return _ADVICE[self]
+
+
+_ADVICE = {
+    Status.DONE: "The solve reached its last time.",
+    Status.TOO_MANY_STEPS: "The solve ran out of steps; raise Stepping.max_steps or ask for an earlier last time.",
+    Status.NON_FINITE: "The solve became non-finite; check parameters and design, or lower Stepping.step.",
+    Status.RUNAWAY: "The radius grew beyond three times its maximum, which no free oscillation does; lower Stepping.step.",
+}
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a batch of bubbles did.
+
+    Args:
+        times: ``batch_shape x n_t`` tensor, dimensionless (t U_c/Rmax).
+        radius: ``batch_shape x n_t`` tensor, dimensionless (R/Rmax); NaN where the solve did not get.
+        velocity: ``batch_shape x n_t`` tensor, wall velocity over ``U_c``.
+        bubble_pressure: ``batch_shape x n_t`` tensor, over ``p_inf``.
+        status: ``batch_shape`` integer tensor of :class:`Status` values.
+        steps: ``batch_shape`` integer tensor, steps taken.
+    """
+
+    times: Tensor
+    radius: Tensor
+    velocity: Tensor
+    bubble_pressure: Tensor
+    status: Tensor
+    steps: Tensor
+
+    @property
+    def ok(self) -> Tensor:
+        """``batch_shape`` boolean tensor: members that are done."""
+        return self.status == Status.DONE
+
+    def summary(self) -> str:
+        """How many members ended in which way, with advice on the failed ones."""
+        counts = [(kind, int((self.status == kind).sum())) for kind in Status]
+        return "\n".join(f"{n} x {kind.name}: {kind.advice}" for kind, n in counts if n)
+
+
+class Simulator(Protocol):
+    """Anything that turns gels and designs into bubbles."""
+
+    @property
+    def conditions(self) -> Conditions:
+        """Surroundings and contents of the bubbles."""
+        ...
+
+    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        """Simulate a batch.
+
+        Args:
+            parameters: ``batch_shape x p`` tensor, SI, in the order of ``PARAMETERS``.
+            designs: ``batch_shape x 2`` tensor, (We, R_inf*).
+            times: ``n_t`` or ``batch_shape x n_t`` tensor, dimensionless, increasing; ``t* = 0`` is the maximum radius.
+
+        Returns:
+            The solution; batch shapes of the arguments broadcast.
+        """
+        ...
+
+
+def broadcast_batch(parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[torch.Size, Tensor, Tensor, Tensor]:
+    """Flatten the arguments of a simulator to ``B x p``, ``B x 2`` and ``B x n_t``; also returns ``batch_shape``.
+
+    Raises:
+        ShapeError: if a last dimension or a batch shape does not fit.
+    """
+    if parameters.shape[-1:] != (len(PARAMETERS),):
+        raise ShapeError(
+            f"parameters has shape {tuple(parameters.shape)}; expected batch_shape x {len(PARAMETERS)} "
+            f"in the order {PARAMETERS.names}. PARAMETERS.pack makes it from names."
+        )
+    if designs.shape[-1:] != (2,):
+        raise ShapeError(f"designs has shape {tuple(designs.shape)}; expected batch_shape x 2 with (We, R_inf*).")
+    if times.ndim < 1 or times.shape[-1] < 1:
+        raise ShapeError(f"times has shape {tuple(times.shape)}; expected n_t or batch_shape x n_t with n_t >= 1.")
+    try:
+        shape = torch.broadcast_shapes(parameters.shape[:-1], designs.shape[:-1], times.shape[:-1])
+    except RuntimeError:
+        raise ShapeError(
+            f"Batch shapes do not broadcast: parameters {tuple(parameters.shape)}, designs {tuple(designs.shape)}, "
+            f"times {tuple(times.shape)}."
+        ) from None
+    flat = [x.expand(*shape, x.shape[-1]).reshape(-1, x.shape[-1]) for x in (parameters, designs, times)]
+    return shape, flat[0], flat[1], flat[2]
