@@ -1,0 +1,182 @@
+"""Experiments as the assimilation sees them: dimensionless curves, each with its own design and times, in one padded batch.
+
+An :class:`Experiment` is one design shot once or several times. :class:`ExperimentBatch` pads all of them to a common
+number of frames, so that any number of experiments is one tensor; :func:`predict` says what the camera would see.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.observe.noise import Noise
+from imr_torch.observe.nuisance import Nuisance, displaced
+from imr_torch.simulate import Simulator, check_designs
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Repeats of one design.
+
+    Args:
+        label: name in reports.
+        design: (We, R_inf*) as achieved and measured.
+        times: ``n_t`` tensor, dimensionless, from the maximum radius on.
+        radius: ``n_repeats x n_t`` tensor, R/Rmax.
+        nuisance: what is uncertain about the design and the clock.
+    """
+
+    label: str
+    design: tuple[float, float]
+    times: Tensor
+    radius: Tensor
+    nuisance: Nuisance = field(default_factory=Nuisance)
+
+    def __post_init__(self) -> None:
+        if self.radius.ndim != 2 or self.times.ndim != 1 or self.radius.shape[1] != self.times.shape[0]:
+            raise ShapeError(
+                f"Experiment {self.label!r}: expected radius n_repeats x n_t and times n_t, "
+                f"got {tuple(self.radius.shape)} and {tuple(self.times.shape)}."
+            )
+        if self.times.shape[0] < 2 or self.radius.shape[0] < 1:
+            raise InputDataError(f"Experiment {self.label!r} has {self.times.shape[0]} frames; at least 2 are needed.")
+        check_designs(torch.tensor([self.design], dtype=torch.float64))
+        if not bool(torch.isfinite(self.radius).all()):
+            repeat, frame = torch.nonzero(~torch.isfinite(self.radius))[0].tolist()
+            raise InputDataError(
+                f"Experiment {self.label!r}: radius of repeat {repeat}, frame {frame} is {self.radius[repeat, frame]}; "
+                "leave missing frames out of times and radius."
+            )
+        if bool((self.times[1:] <= self.times[:-1]).any()) or not bool(torch.isfinite(self.times).all()):
+            raise InputDataError(f"Experiment {self.label!r}: times must be finite and increase.")
+
+    @property
+    def repeats(self) -> int:
+        """Number of repeats."""
+        return self.radius.shape[0]
+
+    def until(self, last: float) -> "Experiment":
+        """The experiment cut off after the dimensionless time ``last``."""
+        keep = self.times <= last
+        return Experiment(self.label, self.design, self.times[keep], self.radius[:, keep], self.nuisance)
+
+
+@dataclass(frozen=True)
+class ExperimentBatch:
+    """Experiments padded to ``E x T``.
+
+    Args:
+        experiments: the experiments.
+        noise: the law of their observation noise.
+    """
+
+    experiments: tuple[Experiment, ...]
+    noise: Noise = field(default_factory=Noise)
+
+    def __post_init__(self) -> None:
+        if not self.experiments:
+            raise InputDataError("At least one experiment is needed.")
+
+    def _padded(self, rows: Sequence[Tensor], fill: float) -> Tensor:
+        width = max(row.shape[0] for row in rows)
+        padded = [torch.nn.functional.pad(row, (0, width - row.shape[0]), value=fill) for row in rows]
+        return torch.stack(padded)
+
+    @cached_property
+    def designs(self) -> Tensor:
+        """``E x 2`` tensor, measured (We, R_inf*)."""
+        return torch.tensor([e.design for e in self.experiments], dtype=torch.float64)
+
+    @cached_property
+    def mask(self) -> Tensor:
+        """``E x T`` boolean tensor: frames that exist."""
+        return self._padded([torch.ones_like(e.times, dtype=torch.bool) for e in self.experiments], False)
+
+    @cached_property
+    def times(self) -> Tensor:
+        """``E x T`` tensor, dimensionless; padding continues each row, so that rows increase."""
+        times = self._padded([e.times for e in self.experiments], 0.0)
+        tail = 1e-3 * torch.cumsum((~self.mask).to(times), dim=1)
+        return torch.where(self.mask, times, times.amax(1, keepdim=True) + tail)
+
+    @cached_property
+    def mean(self) -> Tensor:
+        """``E x T`` tensor: mean over repeats; 0 in the padding."""
+        return self._padded([e.radius.mean(0) for e in self.experiments], 0.0)
+
+    @cached_property
+    def repeats(self) -> Tensor:
+        """``E`` tensor: number of repeats."""
+        return torch.tensor([float(e.repeats) for e in self.experiments], dtype=torch.float64)
+
+    @cached_property
+    def _decorrelation(self) -> Tensor | None:
+        return self.noise.decorrelation(self.times, self.mask)
+
+    @cached_property
+    def _scatter(self) -> Tensor:
+        """``E x T x T`` matrices whose quadratic form in ``1/sd`` is the scatter of the repeats about their mean."""
+        width = self.times.shape[1]
+        rows = []
+        for e in self.experiments:
+            deviation = e.radius - e.radius.mean(0)
+            padded = torch.nn.functional.pad(deviation, (0, width - deviation.shape[1]))
+            rows.append(padded.mT @ padded / e.repeats)
+        scatter = torch.stack(rows)
+        if self._decorrelation is None:
+            return torch.diag_embed(scatter.diagonal(dim1=-2, dim2=-1))
+        return scatter * (self._decorrelation.mT @ self._decorrelation)
+
+    @cached_property
+    def nuisance_sds(self) -> Tensor:
+        """``E x 3`` tensor of prior standard deviations; columns as in ``NUISANCES``."""
+        return torch.stack([e.nuisance.sds() for e in self.experiments])
+
+    def sd(self, prediction: Tensor) -> Tensor:
+        """Noise of one repeat at a prediction ``... x E x T``; 1 in the padding."""
+        return torch.where(self.mask, self.noise.sd(prediction, self.times), 1.0)
+
+    def whiten(self, values: Tensor, sd: Tensor) -> Tensor:
+        """Scale differences ``... x E x T`` so that the mean of the repeats has unit, independent noise."""
+        scaled = torch.where(self.mask, values / sd, 0.0)
+        if self._decorrelation is not None:
+            scaled = (self._decorrelation @ scaled[..., None])[..., 0]
+        return scaled * self.repeats.sqrt()[:, None]
+
+    def log_likelihood(self, prediction: Tensor) -> Tensor:
+        """Log density of all repeats and frames of each experiment: ``... x E x T`` to ``... x E``; ``-inf`` for NaN."""
+        sd = self.sd(prediction)
+        square = self.whiten(self.mean - prediction, sd).square().sum(-1)
+        weight = torch.where(self.mask, 1.0 / sd, 0.0)
+        if self._decorrelation is None:
+            scatter = (weight.square() * self._scatter.diagonal(dim1=-2, dim2=-1)).sum(-1)
+            correlation = 0.0
+        else:
+            scatter = ((self._scatter @ weight[..., None])[..., 0] * weight).sum(-1)
+            correlation = -self._decorrelation.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        frames = self.mask.sum(-1)
+        normaliser = sd.log().sum(-1) + correlation + 0.5 * frames * torch.log(torch.tensor(2.0 * torch.pi))
+        value = -0.5 * square - self.repeats * (0.5 * scatter + normaliser)
+        return torch.where(torch.isnan(value), -torch.inf, value)
+
+
+def predict(simulator: Simulator, parameters: Tensor, batch: ExperimentBatch, shifts: Tensor | None = None) -> Tensor:
+    """What the camera would see of each gel in each experiment.
+
+    Args:
+        simulator: makes the bubbles.
+        parameters: ``batch_shape x p`` tensor, SI.
+        batch: the experiments, for their designs and times.
+        shifts: ``batch_shape x E x 3`` tensor of nuisances in physical size; none when not given.
+
+    Returns:
+        ``batch_shape x E x T`` tensor, R/Rmax with the measured Rmax; NaN rows where a solve failed.
+    """
+    designs, times, factor = batch.designs, batch.times, None
+    if shifts is not None:
+        designs, times, factor = displaced(designs, times, shifts)
+    radius = simulator(parameters[..., None, :], designs, times).radius
+    return radius if factor is None else radius * factor

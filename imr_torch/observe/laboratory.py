@@ -1,0 +1,60 @@
+"""A simulated laboratory: shoots a design at a gel whose properties it keeps to itself, and returns noisy curves."""
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.observe.experiments import Experiment
+from imr_torch.observe.noise import Noise
+from imr_torch.observe.nuisance import Nuisance
+from imr_torch.random import child, generator
+from imr_torch.simulate import Simulator
+
+
+@dataclass(frozen=True)
+class SimulatedLaboratory:
+    """Makes experiments on a known gel.
+
+    Args:
+        simulator: the truth's physics.
+        truth: ``p`` tensor, the gel's parameters, SI.
+        noise: observation noise.
+        repeats: curves per design.
+        times: ``n_t`` tensor of dimensionless frame times; 81 frames up to t* = 4 by default.
+        scatter: relative standard deviations of the achieved We and R_inf* about what was asked; the achieved values
+            are measured and reported, with ``nuisance`` as their error.
+        nuisance: errors of the measured design and clock.
+    """
+
+    simulator: Simulator
+    truth: Tensor
+    noise: Noise = field(default_factory=Noise)
+    repeats: int = 100
+    times: Tensor = field(default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64))
+    scatter: tuple[float, float] = (0.0, 0.0)
+    nuisance: Nuisance = field(default_factory=Nuisance)
+
+    def __post_init__(self) -> None:
+        if self.repeats < 1:
+            raise InputDataError(f"SimulatedLaboratory.repeats is {self.repeats}; at least 1 curve per design is needed.")
+
+    def shoot(self, design: Tensor, *, seed: int, label: str = "") -> Experiment:
+        """One experiment at ``design`` (2 numbers, We and R_inf*).
+
+        Raises:
+            ConvergenceError: if the truth itself cannot be simulated at this design.
+        """
+        source = generator(child(seed, "laboratory"))
+        wobble = torch.randn(2, generator=source, dtype=torch.float64) * torch.tensor(self.scatter, dtype=torch.float64)
+        true = design * torch.exp(wobble)
+        shifts = torch.randn(3, generator=source, dtype=torch.float64) * self.nuisance.sds()
+        scale, offset, rest = 1.0 + float(shifts[0]), float(shifts[1]), 1.0 + float(shifts[2])
+        solution = self.simulator(self.truth, true, (self.times + offset) / scale)
+        if not bool(solution.ok):
+            raise ConvergenceError(f"The laboratory's own bubble at {true.tolist()} failed: {solution.summary()}")
+        radius = self.noise.draw(solution.radius * scale, self.times, self.repeats, generator=source)
+        measured = (float(true[0]) / scale, float(true[1]) * scale / rest)
+        name = label or f"We {measured[0]:.0f}, R_inf* {measured[1]:.3f}"
+        return Experiment(name, measured, self.times, radius, self.nuisance)

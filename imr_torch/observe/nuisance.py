@@ -1,0 +1,55 @@
+"""What a laboratory does not know exactly about each of its own experiments: Rmax, time zero, R_inf.
+
+Each is a standard normal control per experiment times its prior standard deviation, and neutral at 0: a fit of the gel
+marginalises over them instead of taking a pixel of Rmax for a kilopascal of modulus.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from imr_torch.errors import InputDataError
+
+NUISANCES = ("max_radius", "time_zero", "rest_radius")
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """Prior standard deviations of one experiment's nuisances; 0 means known exactly.
+
+    Args:
+        max_radius: relative, of Rmax.
+        time_zero: of the time of the maximum, dimensionless (over ``Rmax/U_c``).
+        rest_radius: relative, of R_inf.
+    """
+
+    max_radius: float = 0.0
+    time_zero: float = 0.0
+    rest_radius: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0.0 <= value < 1.0:
+                raise InputDataError(f"Nuisance.{name} is {value}; expected a standard deviation in [0, 1).")
+
+    def sds(self) -> Tensor:
+        """The three standard deviations in the order of ``NUISANCES``."""
+        return torch.tensor([self.max_radius, self.time_zero, self.rest_radius], dtype=torch.float64)
+
+
+def displaced(designs: Tensor, times: Tensor, shifts: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Design and times that the bubble truly had, given what was measured and the shifts.
+
+    Args:
+        designs: ``... x 2`` tensor, measured (We, R_inf*).
+        times: ``... x n_t`` tensor, measured, dimensionless with the measured Rmax.
+        shifts: ``... x 3`` tensor in the order of ``NUISANCES`` (relative, dimensionless, relative).
+
+    Returns:
+        True designs, true times, and the factor (``... x 1``) from the true R* to the measured one.
+    """
+    scale = 1.0 + shifts[..., 0:1]
+    weber = designs[..., 0:1] * scale
+    rest = designs[..., 1:2] * (1.0 + shifts[..., 2:3]) / scale
+    return torch.cat((weber, rest.clamp(1e-3, 0.999)), dim=-1), (times + shifts[..., 1:2]) / scale, scale

@@ -1,0 +1,33 @@
+"""The assimilation window: how far into a record the model is asked to follow the data (two collapses by default)."""
+
+import math
+
+from torch import Tensor
+
+
+def collapse_time(times: Tensor, radius: Tensor, number: int) -> float:
+    """Time of collapse ``number`` (1 is the first) of a curve that starts at its maximum; infinity when not reached.
+
+    A minimum counts when the curve climbs from it by a tenth of its range, so frame noise makes none.
+
+    Args:
+        times: ``n_t`` tensor.
+        radius: ``n_t`` tensor, any unit.
+        number: which collapse.
+    """
+    depth = 0.1 * float(radius.amax() - radius.amin())
+    low, high, falling, found = math.inf, float(radius[0]), True, 0
+    at = math.inf
+    for t, r in zip(times.tolist(), radius.tolist(), strict=True):
+        if falling:
+            if r < low:
+                low, at = r, t
+            elif r > low + depth:
+                found, falling, high = found + 1, False, r
+                if found == number:
+                    return at
+        elif r > high:
+            high = r
+        elif r < high - depth:
+            falling, low, at = True, r, t
+    return math.inf
