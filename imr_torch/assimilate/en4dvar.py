@@ -24,7 +24,11 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 
 _DAMPINGS = (0.0, 1.0, 10.0, 100.0)  # tried together, times the current damping
-_LONGEST_STEP = 2.0  # prior standard deviations
+_STUCK = 1e4  # damping at which nothing lowers the cost any more
+_FINEST_SPREAD = 1e-3
+_LONGEST_STEP = 8.0  # prior standard deviations
+_SIDE = 0.05  # prior standard deviations by which nuisances are moved for their sensitivity
+_RESTART = 0.25  # prior standard deviations
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ class EnsembleOptions:
         scouts: prior draws from which the starts are chosen.
         starts: independent searches per model; two or more, so that they can agree.
         iterations: most Gauss-Newton iterations.
-        spread: size of the ensemble in posterior standard deviations.
+        spread: size of the ensemble in posterior standard deviations; refined where no step lowers the cost any more.
         gradient: tolerance of the whitened gradient.
         agreement: tolerance of the cost difference between the two best starts, nats.
     """
@@ -94,6 +98,7 @@ def assimilate(
     search = _Search(belief, batch, simulator, options, seed)
     for iteration in range(options.iterations):
         search.iterate()
+        search.restart()
         if progress:
             progress(f"assimilation: iteration {iteration + 1}, {search.report()}")
         if bool(search.finished.all()):
@@ -125,7 +130,10 @@ class _Search:
         chains = len(self.model)
         self.damping = torch.full((chains,), 1e-2, dtype=torch.float64)
         self.chol = 0.5 * torch.eye(self.size, dtype=torch.float64).repeat(chains, 1, 1)
+        self.spread = torch.full((chains,), options.spread, dtype=torch.float64)
         self.finished = torch.zeros(chains, dtype=torch.bool)
+        self.restarted = [False] * len(belief.models)
+        self.source = source
         self.gradient = torch.full((chains,), torch.inf, dtype=torch.float64)
         self.iterations = torch.zeros(chains, dtype=torch.long)
         self.members = self.failures = 0
@@ -205,10 +213,10 @@ class _Search:
     def _linearise(self, chains: Tensor) -> NormalEquations:
         """Ensemble sensitivities and gradients at the current points."""
         gel, nuisances, model = self.gel[chains], self.nuisances[chains], self.model[chains]
-        anomalies = self.options.spread * self.anomalies @ self.chol[chains].mT
+        anomalies = self.spread[chains, None, None] * (self.anomalies @ self.chol[chains].mT)
         sides = torch.zeros(2 * len(self.columns), 1, 3, dtype=torch.float64)
         for i, column in enumerate(self.columns.tolist()):
-            sides[2 * i, 0, column], sides[2 * i + 1, 0, column] = self.options.spread, -self.options.spread
+            sides[2 * i, 0, column], sides[2 * i + 1, 0, column] = _SIDE, -_SIDE
         controls = torch.cat((gel[:, None], gel[:, None] + anomalies, gel[:, None].expand(-1, len(sides), -1)), dim=1)
         shifted = nuisances[:, None].expand(-1, 1 + anomalies.shape[1], -1, -1)
         shifted = torch.cat((shifted, nuisances[:, None] + sides), dim=1)
@@ -224,7 +232,7 @@ class _Search:
         by_gel = ensemble_sensitivity(anomalies[:, None], responses)
         by_nuisance = torch.zeros(*centre.shape, 3, dtype=torch.float64)
         for i, column in enumerate(self.columns.tolist()):
-            difference = (sides[:, 2 * i] - sides[:, 2 * i + 1]) / (2.0 * self.options.spread)
+            difference = (sides[:, 2 * i] - sides[:, 2 * i + 1]) / (2.0 * _SIDE)
             by_nuisance[..., column] = difference.nan_to_num()
         slope = self._slope(centre)
         gradients = (by_gel.mT @ slope[..., None])[..., 0].sum(-2), (by_nuisance.mT @ slope[..., None])[..., 0]
@@ -257,8 +265,31 @@ class _Search:
         self.gel[kept], self.nuisances[kept], self.cost[kept] = gel[at], nuisances[at], best[better]
         eased = self.damping[kept] * torch.tensor(_DAMPINGS, dtype=torch.float64)[row[better]]
         self.damping[kept] = torch.where(eased > 0.0, 0.3 * eased, 0.1 * self.damping[kept]).clamp(1e-6, 1e6)
-        self.damping[chains[~better]] *= 100.0
-        self.finished[chains[~better]] |= self.damping[chains[~better]] > 1e8  # nothing lowers the cost any more
+        self._unstick(chains[~better])
+
+    def _unstick(self, chains: Tensor) -> None:
+        """Damp chains that found no better point; then refine their ensembles; then let them rest."""
+        self.damping[chains] *= 100.0
+        stuck = chains[self.damping[chains] > _STUCK]
+        self.finished[stuck] = self.spread[stuck] <= _FINEST_SPREAD
+        self.spread[stuck] *= 0.1
+        self.damping[stuck] = 1e-2
+
+    def restart(self) -> None:
+        """Once per model: search again near its best point where the starts ended in different minima."""
+        for model in range(len(self.belief.models)):
+            rows = torch.nonzero(self.model == model)[:, 0]
+            rows = rows[torch.argsort(self.cost[rows])]
+            apart = rows[self.cost[rows] > self.cost[rows[0]] + self.options.agreement]
+            if self.restarted[model] or len(rows) - len(apart) >= 2 or not bool(self.finished[rows].all()):
+                continue
+            noise = torch.randn(len(apart), self.size, generator=self.source, dtype=torch.float64)
+            self.restarted[model] = True
+            self.gel[apart] = self.gel[rows[0]].clone() + _RESTART * noise
+            self.nuisances[apart] = self.nuisances[rows[0]].clone()
+            self.cost[apart] = self._cost(self.model[apart], self.gel[apart], self.nuisances[apart])[0]
+            self.finished[apart] = ~torch.isfinite(self.cost[apart])
+            self.spread[apart], self.damping[apart] = self.options.spread, 1e-2
 
     def report(self) -> str:
         """Costs and gradients of the best start of each model."""

@@ -16,6 +16,9 @@ from torch.special import ndtri
 from imr_torch.errors import InputDataError
 
 
+_FAR = 25.0  # standard deviations from which tails are computed by their asymptotic form
+
+
 class Marginal(Protocol):
     """A monotone map from ``z`` to a parameter and back; all methods act elementwise on any shape."""
 
@@ -35,6 +38,14 @@ class Marginal(Protocol):
 def ndtr(x: Tensor) -> Tensor:
     """Normal distribution function with full relative precision in the tail (``torch.special.ndtr`` is 0 below -8.3)."""
     return 0.5 * torch.erfc(-x / math.sqrt(2.0))
+
+
+def _far_tail(z: Tensor, log_kept: float) -> Tensor:
+    """Solve ``log Q(x) = log_kept + log Q(z)`` far out, where ``Q(z) ~ pdf(z)/z`` and ``Q`` itself would underflow."""
+    x = z
+    for _ in range(3):
+        x = torch.sqrt(z * z - 2.0 * log_kept - 2.0 * torch.log(x / z))
+    return x
 
 
 def _normal_log_pdf(x: Tensor) -> Tensor:
@@ -81,9 +92,12 @@ class TruncatedNormal:
         """The standardised value; each half is computed from its own tail, so neither loses digits."""
         below, above = self._tails()
         kept = 1.0 - below - above
-        from_below = ndtri(below + kept * ndtr(torch.minimum(z, torch.zeros_like(z))))
-        from_above = -ndtri(above + kept * ndtr(-torch.maximum(z, torch.zeros_like(z))))
-        return torch.where(z < 0.0, from_below, from_above)
+        from_below = ndtri(below + kept * ndtr(z.clamp(-_FAR, 0.0)))
+        from_above = -ndtri(above + kept * ndtr(-z.clamp(0.0, _FAR)))
+        value = torch.where(z < 0.0, from_below, from_above)
+        far = torch.sign(z) * _far_tail(z.abs().clamp_min(_FAR), math.log(kept))
+        unbounded = (z > _FAR) & (above == 0.0) | (z < -_FAR) & (below == 0.0)
+        return torch.where(unbounded, far, value)
 
     def to_physical(self, z: Tensor) -> Tensor:
         """See :class:`Marginal`."""
@@ -97,7 +111,10 @@ class TruncatedNormal:
         x = (value - self.mean) / self.sd
         cumulative = ((ndtr(x) - below) / kept).clamp(0.0, 1.0)
         survival = ((ndtr(-x) - above) / kept).clamp(0.0, 1.0)
-        return torch.where(cumulative < 0.5, ndtri(cumulative), -ndtri(survival))
+        z = torch.where(cumulative < 0.5, ndtri(cumulative), -ndtri(survival))
+        far = torch.sign(x) * _far_tail(x.abs().clamp_min(_FAR), -math.log(kept))
+        unbounded = (x > _FAR) & (above == 0.0) | (x < -_FAR) & (below == 0.0)
+        return torch.where(unbounded, far, z)
 
     def log_slope(self, z: Tensor) -> Tensor:
         """See :class:`Marginal`."""
