@@ -48,9 +48,9 @@ class EnsembleOptions:
     members: int = 16
     scouts: int = 192
     starts: int = 3
-    iterations: int = 40
+    iterations: int = 60
     spread: float = 0.1
-    gradient: float = 1e-3
+    gradient: float = 5e-3
     agreement: float = 0.1
 
     def __post_init__(self) -> None:

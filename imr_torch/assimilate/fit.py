@@ -14,7 +14,7 @@ class Certificate:
     """Evidence that a minimum was found, and found twice.
 
     Args:
-        gradient: length of the gradient in posterior standard deviations; below ``1e-3`` at a minimum.
+        gradient: length of the gradient in posterior standard deviations; below the tolerance at a minimum.
         agreement: cost of the second best start minus that of the best, in nats; ``inf`` when only one start ended well.
         iterations: Gauss-Newton iterations of the best start.
         failed_members: share of ensemble members whose solve failed.

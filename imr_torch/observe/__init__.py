@@ -1,20 +1,34 @@
 """Stage 3, the camera: files in, landmarks, noise, and experiments as dimensionless batches."""
 
+from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment, ExperimentBatch, predict
 from imr_torch.observe.laboratory import SimulatedLaboratory
+from imr_torch.observe.landmarks import Landmarks, find_landmarks
+from imr_torch.observe.load import KNOWN_LAYOUTS, Layout, load_traces
 from imr_torch.observe.noise import Noise, fit_noise
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
+from imr_torch.observe.traces import Given, LeftOut, RadiusTrace, TraceSet
 from imr_torch.observe.window import collapse_time
 
 __all__ = [
+    "KNOWN_LAYOUTS",
     "NUISANCES",
     "Experiment",
     "ExperimentBatch",
+    "Given",
+    "Landmarks",
+    "Layout",
+    "LeftOut",
     "Noise",
     "Nuisance",
+    "RadiusTrace",
     "SimulatedLaboratory",
+    "TraceSet",
     "collapse_time",
     "displaced",
+    "find_landmarks",
     "fit_noise",
+    "load_traces",
     "predict",
+    "to_experiment",
 ]

@@ -143,7 +143,7 @@ class ExperimentBatch:
         """Scale differences ``... x E x T`` so that the mean of the repeats has unit, independent noise."""
         scaled = torch.where(self.mask, values / sd, 0.0)
         if self._decorrelation is not None:
-            scaled = (self._decorrelation @ scaled[..., None])[..., 0]
+            scaled = _along_frames(self._decorrelation, scaled)
         return scaled * self.repeats.sqrt()[:, None]
 
     def log_likelihood(self, prediction: Tensor) -> Tensor:
@@ -155,12 +155,19 @@ class ExperimentBatch:
             scatter = (weight.square() * self._scatter.diagonal(dim1=-2, dim2=-1)).sum(-1)
             correlation = 0.0
         else:
-            scatter = ((self._scatter @ weight[..., None])[..., 0] * weight).sum(-1)
+            scatter = (_along_frames(self._scatter, weight) * weight).sum(-1)
             correlation = -self._decorrelation.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         frames = self.mask.sum(-1)
         normaliser = sd.log().sum(-1) + correlation + 0.5 * frames * torch.log(torch.tensor(2.0 * torch.pi))
         value = -0.5 * square - self.repeats * (0.5 * scatter + normaliser)
         return torch.where(torch.isnan(value), -torch.inf, value)
+
+
+def _along_frames(matrices: Tensor, values: Tensor) -> Tensor:
+    """Multiply the frames of each experiment by its own matrix: ``E x T x T`` and ``... x E x T`` to ``... x E x T``."""
+    rows = values.movedim(-2, 0)
+    product = rows.reshape(len(rows), -1, rows.shape[-1]) @ matrices.mT
+    return product.reshape(rows.shape).movedim(0, -2)
 
 
 def predict(simulator: Simulator, parameters: Tensor, batch: ExperimentBatch, shifts: Tensor | None = None) -> Tensor:

@@ -1,0 +1,222 @@
+"""Files in, properties out: what the curves of one gel say about its parameters and its constitutive model.
+
+All curves are fitted together, each with its own Rmax, time zero and R_inf as nuisances. The noise is first the published
+law; then its scale and correlation time are estimated from the residuals of the best model and the fit repeated, so that a
+model that misses the data pays with wider intervals instead of false precision.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate
+from imr_torch.errors import InputDataError
+from imr_torch.material import Belief, ModelBelief, wide_prior
+from imr_torch.observe import (
+    Experiment,
+    ExperimentBatch,
+    Landmarks,
+    Noise,
+    TraceSet,
+    collapse_time,
+    find_landmarks,
+    fit_noise,
+    predict,
+    to_experiment,
+)
+from imr_torch.random import child
+from imr_torch.select import Evidence, evidences, update
+from imr_torch.simulate import PolytropicSimulator, Simulator
+
+LEVELS = (0.05, 0.5, 0.95)
+_NOISE_ROUNDS = 2
+_MIN_FRAMES = 5
+
+
+@dataclass(frozen=True)
+class Characterization:
+    """What a set of curves says about a gel.
+
+    Args:
+        experiments: the dimensionless curves that were fitted, cut to the window.
+        landmarks: landmarks of each trace, by experiment id.
+        assimilation: the fits of all models, with their certificates.
+        evidence: the evidence of each model.
+        posterior: parameters and model probabilities after the data.
+        seconds: processor time.
+    """
+
+    experiments: tuple[Experiment, ...]
+    landmarks: dict[str, Landmarks]
+    assimilation: Assimilation
+    evidence: tuple[Evidence, ...]
+    posterior: Belief
+    seconds: float
+
+    @property
+    def noise(self) -> Noise:
+        """The observation noise of the final fit."""
+        return self.assimilation.batch.noise
+
+    def to_dict(self) -> dict[str, object]:
+        """JSON-ready summary: intervals in SI units, probabilities, residuals, certificates."""
+        models = {}
+        for fit, evidence in zip(self.assimilation.fits, self.evidence, strict=True):
+            certificate = vars(fit.certificate) | {"agreement": min(fit.certificate.agreement, 1e300)}
+            models[fit.model] = {
+                "intervals": intervals(fit.posterior),
+                "rmse": self.assimilation.rmse(fit.model),
+                "log_evidence": evidence.value,
+                "log_evidence_error": evidence.error,
+                "effective_samples": evidence.effective_samples,
+                "certificate": certificate,
+            }
+        return {
+            "experiments": [{"id": e.label, "We": e.design[0], "R_inf*": e.design[1]} for e in self.experiments],
+            "model_probabilities": self.posterior.probabilities,
+            "models": models,
+            "noise": vars(self.noise),
+            "belief": self.posterior.to_dict(),
+            "cpu_seconds": self.seconds,
+        }
+
+    def report(self) -> str:
+        """The result as a table in plain words."""
+        lines = [f"{len(self.experiments)} curve(s), noise scale {self.noise.scale:.2f} x published, "
+                 f"correlation time {self.noise.correlation_time:g} in t*"]
+        order = sorted(self.assimilation.fits, key=lambda f: -self.posterior.probabilities[f.model])
+        for fit in order:
+            lines.append(
+                f"\n{fit.prior.material.title:10s} probability {self.posterior.probabilities[fit.model]:.3f}, "
+                f"RMSE {self.assimilation.rmse(fit.model):.4f} in R*"
+            )
+            for parameter in (p for p in fit.prior.material.parameters if p.name in fit.prior.names):
+                low, middle, high = (parameter.display_scale * x for x in intervals(fit.posterior)[parameter.name])
+                unit = parameter.display_unit or ("" if parameter.unit == "1" else parameter.unit)
+                lines.append(f"  {parameter.name:6s} {middle:10.4g} {unit:5s} (90 %: {low:.4g} to {high:.4g})")
+            lines.append(f"  {fit.certificate}")
+        return "\n".join(lines)
+
+
+def intervals(belief: ModelBelief) -> dict[str, list[float]]:
+    """Parameter -> [5 %, 50 %, 95 %] quantile, SI."""
+    return dict(zip(belief.names, belief.quantile(LEVELS).T.tolist(), strict=True))
+
+
+def prepare(
+    traces: TraceSet,
+    simulator: Simulator,
+    *,
+    collapses: int = 2,
+    rest_radius: tuple[float, float] | None = None,
+) -> tuple[tuple[Experiment, ...], dict[str, Landmarks]]:
+    """Dimensionless experiments of a set of traces, cut after ``collapses`` collapses.
+
+    Args:
+        traces: the curves.
+        simulator: for its scales.
+        collapses: collapses that the window holds.
+        rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
+
+    Raises:
+        InputDataError: for a record without R_inf, or with too few frames in the window.
+    """
+    experiments, landmarks = [], {}
+    for trace in traces:
+        marks = find_landmarks(trace)
+        experiment = to_experiment(trace, marks, simulator.conditions.surroundings, rest_radius=rest_radius)
+        experiment = experiment.until(collapse_time(experiment.times, experiment.radius[0], collapses))
+        if len(experiment.times) < _MIN_FRAMES:
+            raise InputDataError(
+                f"{trace.source}: experiment '{trace.experiment_id}' has {len(experiment.times)} frames between its maximum "
+                f"and collapse {collapses}; at least {_MIN_FRAMES} are needed. Raise --collapses, or leave it out."
+            )
+        experiments.append(experiment)
+        landmarks[trace.experiment_id] = marks
+    return tuple(experiments), landmarks
+
+
+def characterize(
+    traces: TraceSet,
+    *,
+    prior: Belief | None = None,
+    simulator: Simulator | None = None,
+    noise: Noise | None = None,
+    estimate_noise: bool = True,
+    collapses: int = 2,
+    rest_radius: tuple[float, float] | None = None,
+    options: EnsembleOptions | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Characterization:
+    """Infer properties and model probabilities from measured curves of one gel.
+
+    Args:
+        traces: the curves.
+        prior: what is believed before; the wide prior when not given.
+        simulator: makes the bubbles; polytropic by default.
+        noise: law of the observation noise; the published one by default.
+        estimate_noise: whether to fit its scale and correlation time to the residuals.
+        collapses: collapses that the fitted window holds.
+        rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
+        options: how the assimilation searches.
+        seed: of everything random.
+        progress: called with one line per step.
+
+    Raises:
+        InputDataError: as in :func:`prepare`, or if there is no trace.
+    """
+    started = time.process_time()
+    if len(traces) == 0:
+        raise InputDataError("No curve to characterise; load at least one.")
+    prior, simulator, noise = prior or wide_prior(), simulator or PolytropicSimulator(), noise or Noise()
+    experiments, landmarks = prepare(traces, simulator, collapses=collapses, rest_radius=rest_radius)
+    for round_ in range(1 + _NOISE_ROUNDS * estimate_noise):
+        if progress:
+            progress(f"round {round_ + 1}: noise scale {noise.scale:.2f}, correlation time {noise.correlation_time:g}")
+        batch = ExperimentBatch(experiments, noise)
+        result = assimilate(prior, batch, simulator, seed=child(seed, "round", round_), options=options, progress=progress)
+        if estimate_noise and round_ < _NOISE_ROUNDS:
+            noise = _noise_of(result)
+    evidence = evidences(result, simulator, seed=child(seed, "evidence"))
+    posterior = update(result, evidence)
+    return Characterization(experiments, landmarks, result, evidence, posterior, time.process_time() - started)
+
+
+def _noise_of(result: Assimilation) -> Noise:
+    """Noise fitted to the residuals of the model of lowest cost."""
+    best, batch = min(result.fits, key=lambda fit: fit.cost), result.batch
+    residuals, predictions, times = [], [], []
+    for e in range(len(batch.experiments)):
+        rows = batch.mask[e]
+        residuals.append((batch.mean[e] - best.prediction[e])[rows])
+        predictions.append(best.prediction[e][rows])
+        times.append(batch.times[e][rows])
+    return fit_noise(batch.noise, residuals, predictions, times)
+
+
+def predictive_band(
+    result: Assimilation, posterior: Belief, simulator: Simulator, model: str, *, draws: int = 100, seed: int = 0
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Posterior predictive quantiles (5, 50, 95 %) of single frames: three ``E x T`` tensors, R/Rmax.
+
+    Args:
+        result: the fits, for the data and the nuisances.
+        posterior: belief after the data.
+        simulator: makes the bubbles.
+        model: whose prediction.
+        draws: posterior draws.
+        seed: of the draws.
+    """
+    fit, batch = result[model], result.batch
+    part = posterior[model]
+    controls = part.controls(draws, seed=seed)
+    shifts = (fit.nuisances * batch.nuisance_sds).expand(draws, -1, -1)
+    prediction = predict(simulator, part.parameters(controls), batch, shifts)
+    noise = torch.randn(prediction.shape, generator=torch.Generator().manual_seed(seed), dtype=prediction.dtype)
+    seen = prediction + batch.noise.sd(prediction, batch.times) * noise
+    low, middle, high = torch.nanquantile(seen, torch.tensor(LEVELS, dtype=seen.dtype), dim=0)
+    return low, middle, high

@@ -1,0 +1,326 @@
+"""Landmarks of a curve: maximum radius and its time, collapses, rebounds, rest radius, phases.
+
+Every landmark comes from a local least-squares fit, so it lies between frames and carries a standard deviation. Where
+the record does not hold a landmark (growth cut off, no rebound), the result says so in its method rather than guessing:
+near a collapse ``R ~ |t - t_c|^(2/5)`` (Rayleigh, Phil. Mag. 34, 1917), which no smooth fit
+resolves better than a frame.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from imr_torch.errors import InputDataError
+from imr_torch.observe.traces import RadiusTrace
+
+PEAK_WINDOWS = (0.85, 0.95)
+NEIGHBOUR = 0.75
+MAX_EXCESS = 0.04
+QUARTIC_FROM = 9
+NOISE_RANGE = (0.002, 0.02)
+DEFAULT_NOISE = 0.005
+PRIOR_WEIGHT = 3.0
+REVERSAL = 6.0
+MIN_RINGING_SD = 0.10
+MIN_PARTIAL_SD = 0.30
+EDGE_SD = 0.01
+EXPOSURE = 0.2
+ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Landmarks of one curve, in SI units.
+
+    Args:
+        max_radius_m: maximum radius in m, with ``max_radius_sd_m``.
+        max_radius_sd_m: its standard deviation.
+        time_of_max_s: its time in s, with ``time_of_max_sd_s``.
+        time_of_max_sd_s: its standard deviation.
+        max_method: "peak fit", "as given" (the laboratory's value; the record starts after the peak), or "edge" (the
+            largest frame).
+        rest_radius_m: equilibrium radius in m, or None.
+        rest_radius_sd_m: its standard deviation, or None.
+        rest_settled: whether the bubble has come to rest within the record.
+        rest_method: "settled tail", "last cycles", "first rebound", "as given" or "not in record".
+        collapse_times_s: times of the minima after the maximum radius.
+        rebound_times_s: times of the maxima after the first collapse.
+        rebound_radii_m: their radii.
+        growth_samples: number of frames before the maximum radius.
+        frame_noise_m: standard deviation of a frame, estimated from the record.
+    """
+
+    max_radius_m: float
+    max_radius_sd_m: float
+    time_of_max_s: float
+    time_of_max_sd_s: float
+    max_method: str
+    rest_radius_m: float | None
+    rest_radius_sd_m: float | None
+    rest_settled: bool
+    rest_method: str
+    collapse_times_s: tuple[float, ...]
+    rebound_times_s: tuple[float, ...]
+    rebound_radii_m: tuple[float, ...]
+    growth_samples: int
+    frame_noise_m: float
+
+    @property
+    def boundaries_s(self) -> tuple[float, ...]:
+        """Times at which one phase ends and the next begins, in order."""
+        return tuple(sorted((self.time_of_max_s, *self.collapse_times_s, *self.rebound_times_s)))
+
+    def phase_index(self, time_s: Tensor) -> Tensor:
+        """Phase of each time: 0 growth, 1 first collapse, 2 first rebound, 3 second collapse, ...
+
+        Args:
+            time_s: tensor of any shape, s, on the time axis of the trace.
+
+        Returns:
+            Tensor of the same shape, int64.
+        """
+        edges = torch.tensor(self.boundaries_s, dtype=time_s.dtype, device=time_s.device)
+        return torch.bucketize(time_s, edges, right=True)
+
+    def phase(self, time_s: float) -> str:
+        """Phase of a time in s, in words: "growth", "first collapse", "first rebound", ..."""
+        return phase_name(int(self.phase_index(torch.tensor(time_s, dtype=torch.float64))))
+
+
+def phase_name(index: int) -> str:
+    """Name of a phase number of :meth:`Landmarks.phase_index`."""
+    if index == 0:
+        return "growth"
+    cycle = (index - 1) // 2
+    ordinal = ORDINALS[cycle] if cycle < len(ORDINALS) else f"{cycle + 1}th"
+    return f"{ordinal} {'collapse' if index % 2 else 'rebound'}"
+
+
+def find_landmarks(trace: RadiusTrace, *, tail_fraction: float = 0.15, settled_below: float = 0.03) -> Landmarks:
+    """Find the landmarks of a curve.
+
+    Args:
+        trace: the curve.
+        tail_fraction: share of the last frames whose mean is the rest radius, if the bubble has settled.
+        settled_below: the bubble has settled if std/mean of these frames is below this.
+
+    Returns:
+        The landmarks, with a method for the maximum and the rest radius.
+
+    Raises:
+        InputDataError: if ``tail_fraction`` or ``settled_below`` is not between 0 and 1.
+    """
+    for name, value in (("tail_fraction", tail_fraction), ("settled_below", settled_below)):
+        if not 0.0 < value < 1.0:
+            raise InputDataError(f"find_landmarks: {name} is {value}; expected a number between 0 and 1.")
+    time, radius = trace.time_s.detach().cpu().numpy(), trace.radius_m.detach().cpu().numpy()
+    noise = _frame_noise(radius)
+    peak, method = _peak(trace, time, radius, noise)
+    minima, maxima = _extremes(time, radius, noise)
+    rest, sd, settled, rest_method = _rest(trace, time, radius, (minima, maxima), tail_fraction, settled_below)
+    return Landmarks(
+        max_radius_m=peak.value,
+        max_radius_sd_m=peak.value_sd,
+        time_of_max_s=peak.time,
+        time_of_max_sd_s=peak.time_sd,
+        max_method=method,
+        rest_radius_m=rest,
+        rest_radius_sd_m=sd,
+        rest_settled=settled,
+        rest_method=rest_method,
+        collapse_times_s=tuple(x.time for x in minima),
+        rebound_times_s=tuple(x.time for x in maxima),
+        rebound_radii_m=tuple(x.value for x in maxima),
+        growth_samples=int((time < peak.time).sum()),
+        frame_noise_m=noise,
+    )
+
+
+@dataclass(frozen=True)
+class _Extreme:
+    """A maximum or minimum: time and value with standard deviations."""
+
+    time: float
+    value: float
+    time_sd: float
+    value_sd: float
+
+
+def _frame_noise(radius: np.ndarray) -> float:
+    """Standard deviation of a frame in m, from third differences (they remove a local parabola)."""
+    top = float(radius.max())
+    if len(radius) < 12:
+        return DEFAULT_NOISE * top
+    third = np.abs(np.diff(radius, 3))
+    sd = 1.4826 * float(np.median(third)) / math.sqrt(20.0)
+    return float(np.clip(sd, NOISE_RANGE[0] * top, NOISE_RANGE[1] * top))
+
+
+def _window(radius: np.ndarray, k: int, keep: np.ndarray) -> slice:
+    """The run of frames round ``k`` in which ``keep`` holds; always with the neighbours of ``k``."""
+    low, high = k, k + 1
+    while low > 0 and (keep[low - 1] or low == k):
+        low -= 1
+    while high < len(radius) and (keep[high] or high == k + 1):
+        high += 1
+    return slice(low, high)
+
+
+def _fit_extreme(time: np.ndarray, radius: np.ndarray, noise: float, degree: int, sign: int) -> _Extreme | None:
+    """Least-squares polynomial and its vertex; None if the vertex is not inside the frames.
+
+    The residual variance is pooled with ``noise**2`` (weight ``PRIOR_WEIGHT`` frames), because a few frames cannot
+    tell it, and enlarged where neighbouring residuals agree (edge detection and misfit err smoothly). The value varies
+    as the fit at the vertex does (its derivative there is zero); the time as the slope there over the curvature.
+    """
+    centre, span = 0.5 * (time[0] + time[-1]), 0.5 * (time[-1] - time[0])
+    x = (time - centre) / span
+    basis = np.vander(x, degree + 1)
+    coefficients, *_ = np.linalg.lstsq(basis, radius, rcond=None)
+    slope = np.polyder(coefficients)
+    roots = np.roots(slope)
+    inside = roots[(np.abs(roots.imag) < 1e-9) & (np.abs(roots.real) <= 1.0)].real
+    vertices = [float(r) for r in inside if sign * np.polyval(np.polyder(slope), r) < 0.0]
+    if not vertices:
+        return None
+    vertex = max(vertices, key=lambda r: sign * float(np.polyval(coefficients, r)))
+    residual = radius - basis @ coefficients
+    freedom = len(x) - degree - 1
+    variance = (float(residual @ residual) + PRIOR_WEIGHT * noise**2) / (freedom + PRIOR_WEIGHT)
+    if len(x) >= QUARTIC_FROM:
+        lag = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
+        variance *= (1.0 + max(lag, 0.0)) / (1.0 - max(lag, 0.0))
+    covariance = variance * np.linalg.pinv(basis.T @ basis)
+    at_value = np.vander(np.array([vertex]), degree + 1)[0]
+    at_slope = np.array([n * vertex ** (n - 1) if n else 0.0 for n in range(degree, -1, -1)])
+    value_sd = math.sqrt(at_value @ covariance @ at_value)
+    curvature = abs(float(np.polyval(np.polyder(slope), vertex)))
+    time_sd = min(math.sqrt(at_slope @ covariance @ at_slope) / curvature, 2.0) * span
+    return _Extreme(centre + vertex * span, float(np.polyval(coefficients, vertex)), time_sd, value_sd)
+
+
+def _peak(trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise: float) -> tuple[_Extreme, str]:
+    """Maximum radius: a fit where frames stand on both sides of it, else what the laboratory says, else a frame."""
+    k = int(radius.argmax())
+    top, given = float(radius[k]), trace.given
+    interior = 0 < k < len(radius) - 1
+    found = _fit_peak(time, radius, k, noise) if interior else None
+    near = interior and min(radius[k - 1], radius[k + 1]) >= NEIGHBOUR * top
+    if found is not None and near and found.value <= (1.0 + MAX_EXCESS) * top:
+        return found, "peak fit"
+    spacing = float(np.diff(time)[max(k - 1, 0) : k + 1].max())
+    stated = given.max_radius_m
+    if stated is not None and abs(stated / top - 1.0) > 1e-6:
+        at = float(time[k]) if given.time_of_max_s is None else given.time_of_max_s
+        return _Extreme(at, stated, spacing / 2.0, max(noise, abs(stated - top))), "as given"
+    drop = top - float(radius[k - 1 if k == len(radius) - 1 else k + 1])
+    missed = found.value - top if found is not None else min(drop, MIN_RINGING_SD * top)
+    return _Extreme(float(time[k]), top, spacing, max(noise, EDGE_SD * top, missed)), "edge"
+
+
+def _fit_peak(time: np.ndarray, radius: np.ndarray, k: int, noise: float) -> _Extreme | None:
+    """Fitted maximum near frame ``k``; None if frames on both sides do not bracket it.
+
+    What the choice of window changes, the length of an exposure, and half of what the fit adds to the largest frame of
+    a coarse record, are added to the standard deviations: the curve is no polynomial.
+    """
+    top = float(radius[k])
+    wide, narrow = (_window(radius, k, radius >= level * top) for level in PEAK_WINDOWS)
+    many = min(k - wide.start, wide.stop - 1 - k) >= 3 and wide.stop - wide.start >= QUARTIC_FROM
+    found = _fit_extreme(time[wide], radius[wide], noise, 4 if many else 2, +1)
+    if found is None or found.value - max(radius[wide.start], radius[wide.stop - 1]) < 3.0 * noise:
+        return None
+    if not many:
+        excess = 0.5 * max(found.value - top, 0.0)
+        return replace(found, value_sd=math.hypot(found.value_sd, excess))
+    other = _fit_extreme(time[narrow], radius[narrow], noise, 2, +1) if narrow.stop - narrow.start >= 5 else None
+    if other is None:
+        return found
+    exposure = EXPOSURE * float(np.diff(time[wide]).max())
+    time_sd = math.hypot(found.time_sd, other.time - found.time, exposure)
+    return replace(found, value_sd=math.hypot(found.value_sd, other.value - found.value), time_sd=time_sd)
+
+
+def _extremes(time: np.ndarray, radius: np.ndarray, noise: float) -> tuple[list[_Extreme], list[_Extreme]]:
+    """Minima and maxima after the main maximum, alternating; a reversal smaller than the noise is none."""
+    minima: list[_Extreme] = []
+    maxima: list[_Extreme] = []
+    turns = _turning_points(radius, int(radius.argmax()), REVERSAL * noise)
+    for i, (k, sign) in enumerate(turns):
+        low, high = (
+            (turns[i - 1][0] if i else int(radius.argmax())),
+            (turns[i + 1][0] if i + 1 < len(turns) else len(radius)),
+        )
+        swing = min(abs(radius[low] - radius[k]), np.abs(radius[k:high] - radius[k]).max())
+        near = np.abs(radius - radius[k]) <= 0.2 * swing
+        near[:low], near[high:] = False, False
+        window = _window(radius, k, near)
+        frame = _Extreme(float(time[k]), float(radius[k]), float(time[k + 1] - time[k - 1]) / 4.0, noise)
+        found = _fit_extreme(time[window], radius[window], noise, 2, sign)
+        sensible = found is not None and abs(found.value - radius[k]) <= max(0.3 * swing, 3.0 * noise)
+        (maxima if sign > 0 else minima).append(found if found is not None and sensible else frame)
+    return minima, maxima
+
+
+def _turning_points(radius: np.ndarray, start: int, threshold: float) -> list[tuple[int, int]]:
+    """Frames where the curve turns by more than ``threshold``, each with +1 (maximum) or -1 (minimum)."""
+    turns: list[tuple[int, int]] = []
+    sign, best = -1, start
+    for i in range(start + 1, len(radius)):
+        if sign * (radius[i] - radius[best]) > 0.0:
+            best = i
+        elif sign * (radius[best] - radius[i]) > threshold:
+            if best > start:
+                turns.append((best, sign))
+                sign = -sign
+            best = i
+    return turns
+
+
+def _rest(
+    trace: RadiusTrace,
+    time: np.ndarray,
+    radius: np.ndarray,
+    extremes: tuple[list[_Extreme], list[_Extreme]],
+    tail_fraction: float,
+    settled_below: float,
+) -> tuple[float | None, float | None, bool, str]:
+    """Rest radius, its sd, whether settled, and the method."""
+    minima, maxima = extremes
+    count = max(5, math.ceil(tail_fraction * len(radius)))
+    tail = radius[-count:]
+    mean, scatter = float(tail.mean()), float(tail.std(ddof=1)) if count <= len(radius) else math.inf
+    came_down = bool(maxima) or mean < 0.6 * float(radius.max())
+    if came_down and scatter / mean < settled_below:
+        drift = 0.5 * abs(float(tail[: count // 2].mean() - tail[count // 2 :].mean()))
+        return mean, math.hypot(scatter, drift), True, "settled tail"
+    if maxima:
+        first, last, method = _last_cycles(time, minima, maxima)
+        inside = (time >= first) & (time <= last)
+        if inside.sum() >= 3:
+            part, at = radius[inside], time[inside]
+            mean = float(np.trapezoid(part, at) / (at[-1] - at[0]))
+            floor = MIN_RINGING_SD if method == "last cycles" else MIN_PARTIAL_SD
+            return mean, max(floor * mean, float(part.std())), False, method
+    if trace.given.rest_radius_m is not None:
+        stated, sd = trace.given.rest_radius_m, trace.given.rest_radius_sd_m
+        settled = bool(trace.given.rest_settled)
+        floor = (0.01 if settled else MIN_RINGING_SD) * stated
+        return stated, max(sd or 0.0, floor), settled, "as given"
+    return None, None, False, "not in record"
+
+
+def _last_cycles(time: np.ndarray, minima: list[_Extreme], maxima: list[_Extreme]) -> tuple[float, float, str]:
+    """Bounds in s of the last full cycle, or of what follows it where that is longer (ringing below the noise)."""
+    pairs = [(a.time, b.time) for kind in (minima, maxima) for a, b in pairwise(kind)]
+    end = float(time[-1])
+    if not pairs:
+        return minima[0].time, end, "first rebound"
+    first, last = max(pairs, key=lambda pair: pair[1])
+    if end - last > 1.5 * (last - first):
+        return last, end, "last cycles"
+    return first, last, "last cycles"

@@ -1,0 +1,371 @@
+"""Radius-time curves as the rest of the toolkit sees them: SI units, float64, checked, nothing silently dropped.
+
+A :class:`RadiusTrace` is one experiment (times and radii of its camera frames, and what the laboratory says about it);
+a :class:`TraceSet` is an ordered collection of them with the list of everything a reader left out, and why.
+:class:`RawCurve` is the step before: rows of a file that may still hold lost frames.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from imr_torch.errors import InputDataError
+
+RADIUS_RANGE_M = (1e-7, 1e-1)
+DURATION_RANGE_S = (1e-7, 1.0)
+MIN_SAMPLES = 5
+
+
+@dataclass(frozen=True)
+class Given:
+    """What the laboratory itself says about an experiment; ``None`` where it says nothing.
+
+    Args:
+        max_radius_m: maximum radius in m.
+        time_of_max_s: time of the maximum radius in s, on the time axis of the trace.
+        rest_radius_m: equilibrium radius in m.
+        rest_radius_sd_m: its standard deviation in m.
+        rest_settled: whether the bubble has come to rest within the record.
+
+    Raises:
+        InputDataError: if a number is not finite, or a radius is not positive.
+    """
+
+    max_radius_m: float | None = None
+    time_of_max_s: float | None = None
+    rest_radius_m: float | None = None
+    rest_radius_sd_m: float | None = None
+    rest_settled: bool | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("max_radius_m", "rest_radius_m"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < float("inf"):
+                raise InputDataError(f"Given.{name} is {value}; expected a positive length in m, or None if unknown.")
+        if self.time_of_max_s is not None and not np.isfinite(self.time_of_max_s):
+            raise InputDataError(f"Given.time_of_max_s is {self.time_of_max_s}; expected seconds, or None if unknown.")
+        if self.rest_radius_sd_m is not None and not 0.0 <= self.rest_radius_sd_m < float("inf"):
+            raise InputDataError(
+                f"Given.rest_radius_sd_m is {self.rest_radius_sd_m}; expected a length in m >= 0, or None if unknown."
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class RadiusTrace:
+    """The radius of one bubble at the times of its camera frames.
+
+    Args:
+        experiment_id: name of the experiment, unique within a :class:`TraceSet`.
+        time_s: ``n`` tensor, s, strictly increasing; stored as float64.
+        radius_m: ``n`` tensor, m, positive; stored as float64.
+        source: file (or simulation) that the trace comes from.
+        given: what the laboratory says about the experiment.
+
+    Raises:
+        InputDataError: if the trace cannot be one bubble in SI units; the message names experiment, field and sample.
+    """
+
+    experiment_id: str
+    time_s: Tensor
+    radius_m: Tensor
+    source: str
+    given: Given = Given()
+
+    def __post_init__(self) -> None:
+        if not self.experiment_id:
+            raise InputDataError(
+                f"A trace from {self.source} has an empty experiment_id; give every experiment a name."
+            )
+        for name in ("time_s", "radius_m"):
+            value = torch.as_tensor(getattr(self, name), dtype=torch.float64)
+            object.__setattr__(self, name, value)
+            if value.ndim != 1:
+                raise InputDataError(f"{self._at(name)} has shape {tuple(value.shape)}; expected one dimension.")
+        if self.time_s.shape != self.radius_m.shape:
+            raise InputDataError(
+                f"{self._at('radius_m')} has {len(self.radius_m)} samples and time_s has {len(self.time_s)}; "
+                "give one time for every radius."
+            )
+        if len(self.time_s) < 2:
+            raise InputDataError(f"{self._at('time_s')} has {len(self.time_s)} sample(s); a curve needs at least 2.")
+        self._check_values()
+        self._check_units()
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def _at(self, field: str, sample: int | None = None) -> str:
+        row = "" if sample is None else f", sample {sample} (counted from 0)"
+        return f"{self.source}: experiment '{self.experiment_id}', {field}{row}"
+
+    def _check_values(self) -> None:
+        for name in ("time_s", "radius_m"):
+            value = getattr(self, name)
+            if not bool(value.isfinite().all()):
+                i = int((~value.isfinite()).nonzero()[0])
+                raise InputDataError(f"{self._at(name, i)} is {value[i].item()}; leave lost frames out of the trace.")
+        if bool((self.radius_m <= 0).any()):
+            i = int((self.radius_m <= 0).nonzero()[0])
+            raise InputDataError(
+                f"{self._at('radius_m', i)} is {self.radius_m[i].item():g}; a radius is positive: leave out frames "
+                "without a bubble."
+            )
+        step = self.time_s.diff()
+        if bool((step <= 0).any()):
+            i = int((step <= 0).nonzero()[0]) + 1
+            raise InputDataError(
+                f"{self._at('time_s', i)} is {self.time_s[i].item():g} after {self.time_s[i - 1].item():g}; times must "
+                "increase strictly: remove the duplicate, or sort the rows."
+            )
+
+    def _check_units(self) -> None:
+        top, low = float(self.radius_m.max()), float(self.radius_m.min())
+        if top > RADIUS_RANGE_M[1]:
+            unit = "millimetres" if top < 10.0 else "micrometres"
+            remedy = "'mm'" if top < 10.0 else "'um' (or 'px' with a pixel_size if the numbers are pixels)"
+            raise InputDataError(
+                f"{self._at('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between 1e-07 and 0.1 m. "
+                f"This looks like {unit} given as metres: set radius_unit={remedy}."
+            )
+        if top < RADIUS_RANGE_M[0]:
+            raise InputDataError(
+                f"{self._at('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between 1e-07 and 0.1 m. "
+                "This looks like metres converted once too often: set radius_unit='m'."
+            )
+        if low < RADIUS_RANGE_M[0]:
+            i = int(self.radius_m.argmin())
+            raise InputDataError(
+                f"{self._at('radius_m', i)} is {low:.4g} m, below what a camera can see (1e-07 m): set the frame to "
+                "NaN if the bubble was lost in it."
+            )
+        duration = float(self.time_s[-1] - self.time_s[0])
+        if not DURATION_RANGE_S[0] <= duration <= DURATION_RANGE_S[1]:
+            long = duration > DURATION_RANGE_S[1]
+            guess = "microseconds (or frames) given as seconds" if long else "seconds converted once too often"
+            remedy = "'us' (or 'frames' with a frame_interval)" if long else "'s'"
+            raise InputDataError(
+                f"{self._at('time_s')} spans {duration:.4g} s; records last between 1e-07 and 1 s. This looks like "
+                f"{guess}: set time_unit={remedy}."
+            )
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Rows of a file that are not in any trace, and why.
+
+    Args:
+        file: the file.
+        experiment_id: the experiment the rows belong to ("" if to none).
+        rows: row numbers counted from 1 (lines of a text file, samples of a MATLAB vector), such as ``"1-7, 12"``.
+        reason: why they were left out.
+    """
+
+    file: str
+    experiment_id: str
+    rows: str
+    reason: str
+
+
+def row_ranges(rows: Iterable[int]) -> str:
+    """Row numbers as text, runs joined: ``[1, 2, 3, 7] -> "1-3, 7"``."""
+    runs: list[list[int]] = []
+    for row in sorted(int(r) for r in rows):
+        if runs and row == runs[-1][1] + 1:
+            runs[-1][1] = row
+        else:
+            runs.append([row, row])
+    return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in runs)
+
+
+@dataclass(frozen=True, eq=False)
+class RawCurve:
+    """One curve as rows of a file: NaN or zero radii still in it.
+
+    Args:
+        file: the file, for messages.
+        experiment_id: name of the experiment.
+        time: ``n`` array of times (in s once converted), or None where the file has no times.
+        radius: ``n`` array of radii (in m once converted).
+        rows: ``n`` array of row numbers counted from 1.
+        given: what the laboratory says.
+    """
+
+    file: str
+    experiment_id: str
+    time: np.ndarray | None
+    radius: np.ndarray
+    rows: np.ndarray
+    given: Given = Given()
+
+    def without(self, keep: np.ndarray, reason: str) -> tuple["RawCurve", list[LeftOut]]:
+        """The curve with the rows where the ``n`` boolean array ``keep`` holds, and a record of the others."""
+        if keep.all():
+            return self, []
+        time = None if self.time is None else self.time[keep]
+        record = LeftOut(self.file, self.experiment_id, row_ranges(self.rows[~keep]), reason)
+        return replace(self, time=time, radius=self.radius[keep], rows=self.rows[keep]), [record]
+
+    def to_trace(self) -> tuple[RadiusTrace | None, list[LeftOut]]:
+        """Drop the frames without a bubble and build the trace, in SI units.
+
+        Returns:
+            The trace (None if fewer than ``MIN_SAMPLES`` frames are left) and what was left out.
+
+        Raises:
+            InputDataError: on negative or infinite values, times that do not increase, and implausible units.
+        """
+        self._check_rows()
+        assert self.time is not None
+        empty = np.isnan(self.radius) | (self.radius == 0.0) | np.isnan(self.time)
+        seen = np.flatnonzero(~empty)
+        first, last = (seen[0], seen[-1]) if len(seen) else (len(empty), len(empty))
+        index = np.arange(len(empty))
+        curve, left_out = self, []
+        for chosen, reason in (
+            (empty & (index < first), "radius 0 or NaN before the first frame with a bubble (before nucleation)"),
+            (empty & (index > first) & (index < last), "radius 0 or NaN between frames with a bubble (lost frames)"),
+            (empty & (index > last), "radius 0 or NaN after the last frame with a bubble (lost frames)"),
+        ):
+            curve, record = curve.without(~np.isin(curve.rows, self.rows[chosen]), reason)
+            left_out += record
+        if len(curve.radius) < MIN_SAMPLES:
+            reason = f"only {len(curve.radius)} frame(s) with a bubble; a curve needs at least {MIN_SAMPLES}"
+            return None, [*left_out, LeftOut(self.file, self.experiment_id, row_ranges(curve.rows), reason)]
+        assert curve.time is not None
+        curve._check_order()
+        time, radius = torch.from_numpy(curve.time.copy()), torch.from_numpy(curve.radius.copy())
+        return RadiusTrace(self.experiment_id, time, radius, self.file, self.given), left_out
+
+    def _check_rows(self) -> None:
+        assert self.time is not None
+        at = f"{self.file}: experiment '{self.experiment_id}'"
+        for name, values in (("time", self.time), ("radius", self.radius)):
+            if np.isinf(values).any():
+                i = int(np.flatnonzero(np.isinf(values))[0])
+                raise InputDataError(f"{at}, row {self.rows[i]}: {name} is {values[i]}; write NaN for a lost frame.")
+        if (self.radius < 0).any():
+            i = int(np.flatnonzero(self.radius < 0)[0])
+            raise InputDataError(
+                f"{at}, row {self.rows[i]}: radius is {self.radius[i]:g} m, which is negative. Write NaN for a lost "
+                "frame; if such rows separate curves, set Layout(separator=...) to the number in the file."
+            )
+
+    def _check_order(self) -> None:
+        assert self.time is not None
+        step = np.diff(self.time)
+        if (step <= 0).any():
+            i = int(np.flatnonzero(step <= 0)[0]) + 1
+            what = "repeats" if step[i - 1] == 0 else "goes back from"
+            raise InputDataError(
+                f"{self.file}: experiment '{self.experiment_id}', row {self.rows[i]}: time {self.time[i]:.6g} s {what} "
+                f"{self.time[i - 1]:.6g} s of row {self.rows[i - 1]}; times must increase strictly: remove the "
+                "duplicate row, or sort the rows by time."
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class TraceSet:
+    """Traces in order, with everything that was left out on the way.
+
+    Args:
+        traces: the traces; their ids must differ.
+        left_out: rows that were read and not used.
+        notes: decisions taken while reading, as sentences.
+
+    Raises:
+        InputDataError: if two traces have the same id.
+    """
+
+    traces: tuple[RadiusTrace, ...]
+    left_out: tuple[LeftOut, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, count in Counter(self.ids).items():
+            if count > 1:
+                files = ", ".join(sorted({t.source for t in self.traces if t.experiment_id == name}))
+                raise InputDataError(
+                    f"experiment_id '{name}' occurs {count} times (in {files}); load a file once, or rename the "
+                    "experiments."
+                )
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """The experiment ids, in order."""
+        return tuple(trace.experiment_id for trace in self.traces)
+
+    def __len__(self) -> int:
+        return len(self.traces)
+
+    def __iter__(self) -> Iterator[RadiusTrace]:
+        return iter(self.traces)
+
+    def __getitem__(self, key: int | str) -> RadiusTrace:
+        if isinstance(key, str):
+            if key not in self.ids:
+                raise InputDataError(f"No experiment '{key}' among the {len(self)} loaded: {_some(self.ids)}.")
+            return self.traces[self.ids.index(key)]
+        return self.traces[key]
+
+    def select(self, ids: Sequence[str]) -> "TraceSet":
+        """The traces named by ``ids``, in that order; the records of what was left out stay.
+
+        Raises:
+            InputDataError: if an id is not in the set.
+        """
+        chosen = tuple(self[name] for name in ([ids] if isinstance(ids, str) else ids))
+        note = f"Selected {len(chosen)} of {len(self)} experiments."
+        return TraceSet(chosen, self.left_out, (*self.notes, note))
+
+    def __add__(self, other: "TraceSet") -> "TraceSet":
+        return TraceSet.join((self, other))
+
+    @staticmethod
+    def join(sets: Iterable["TraceSet"]) -> "TraceSet":
+        """All sets as one; where ids clash between files, they are prefixed with the name of their file.
+
+        Raises:
+            InputDataError: if ids still clash (the same file twice).
+        """
+        sets = tuple(sets)
+        traces = [trace for s in sets for trace in s.traces]
+        left_out, notes = [x for s in sets for x in s.left_out], [x for s in sets for x in s.notes]
+        for prefix in (_stem, _folder_and_stem):
+            counts = Counter(t.experiment_id for t in traces)
+            new = {(t.source, t.experiment_id): f"{prefix(t)}" for t in traces if counts[t.experiment_id] > 1}
+            if not new:
+                break
+            traces = [replace(t, experiment_id=new.get((t.source, t.experiment_id), t.experiment_id)) for t in traces]
+            left_out = [replace(x, experiment_id=new.get((x.file, x.experiment_id), x.experiment_id)) for x in left_out]
+            notes += [f"{file}: experiment '{old}' is named '{name}' here." for (file, old), name in new.items()]
+        return TraceSet(tuple(traces), tuple(left_out), tuple(notes))
+
+    def report(self) -> str:
+        """What was loaded, what was left out and what was decided, as text."""
+        lines = [f"{len(self)} curve(s):"]
+        for t in self.traces:
+            span, top = 1e6 * float(t.time_s[-1] - t.time_s[0]), 1e6 * float(t.radius_m.max())
+            lines.append(f"  {t.experiment_id}: {len(t)} frames over {span:.4g} us, largest radius {top:.4g} um")
+        lines.append(f"{len(self.left_out)} record(s) of rows left out:" if self.left_out else "Nothing was left out.")
+        lines += [f"  {x.file} [{x.experiment_id or '-'}] row(s) {x.rows or '-'}: {x.reason}" for x in self.left_out]
+        if self.notes:
+            lines += ["Notes:", *(f"  {note}" for note in self.notes)]
+        return "\n".join(lines)
+
+
+def _stem(trace: RadiusTrace) -> str:
+    return f"{Path(trace.source).stem}:{trace.experiment_id}"
+
+
+def _folder_and_stem(trace: RadiusTrace) -> str:
+    return f"{Path(trace.source).parent.name}/{trace.experiment_id}"
+
+
+def _some(names: Sequence[str], limit: int = 8) -> str:
+    more = f", ... ({len(names) - limit} more)" if len(names) > limit else ""
+    return ", ".join(names[:limit]) + more
