@@ -85,8 +85,10 @@ class Characterization:
 
     def report(self) -> str:
         """The result as a table in plain words."""
-        lines = [f"{len(self.experiments)} curve(s), noise scale {self.noise.scale:.2f} x published, "
-                 f"correlation time {self.noise.correlation_time:g} in t*"]
+        lines = [
+            f"{len(self.experiments)} curve(s), noise scale {self.noise.scale:.2f} x published, "
+            f"correlation time {self.noise.correlation_time:g} in t*"
+        ]
         order = sorted(self.assimilation.fits, key=lambda f: -self.posterior.probabilities[f.model])
         for fit in order:
             lines.append(
@@ -174,16 +176,28 @@ def characterize(
         raise InputDataError("No curve to characterise; load at least one.")
     prior, simulator, noise = prior or wide_prior(), simulator or PolytropicSimulator(), noise or Noise()
     experiments, landmarks = prepare(traces, simulator, collapses=collapses, rest_radius=rest_radius)
-    for round_ in range(1 + _NOISE_ROUNDS * estimate_noise):
-        if progress:
-            progress(f"round {round_ + 1}: noise scale {noise.scale:.2f}, correlation time {noise.correlation_time:g}")
-        batch = ExperimentBatch(experiments, noise)
-        result = assimilate(prior, batch, simulator, seed=child(seed, "round", round_), options=options, progress=progress)
-        if estimate_noise and round_ < _NOISE_ROUNDS:
-            noise = _noise_of(result)
+    rounds = _NOISE_ROUNDS if estimate_noise else 0
+    result = _fit(prior, ExperimentBatch(experiments, noise), simulator, options, child(seed, "round", 0), progress)
+    for number in range(1, rounds + 1):
+        batch = ExperimentBatch(experiments, _noise_of(result))
+        result = _fit(prior, batch, simulator, options, child(seed, "round", number), progress)
     evidence = evidences(result, simulator, seed=child(seed, "evidence"))
     posterior = update(result, evidence)
     return Characterization(experiments, landmarks, result, evidence, posterior, time.process_time() - started)
+
+
+def _fit(
+    prior: Belief,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    options: EnsembleOptions | None,
+    seed: int,
+    progress: Callable[[str], None] | None,
+) -> Assimilation:
+    """One round: announce the noise, and assimilate."""
+    if progress:
+        progress(f"noise scale {batch.noise.scale:.2f}, correlation time {batch.noise.correlation_time:g}")
+    return assimilate(prior, batch, simulator, seed=seed, options=options, progress=progress)
 
 
 def _noise_of(result: Assimilation) -> Noise:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO, Any
 
 
-def write_atomically(path: Path, write: Callable[[IO[bytes]], None]) -> None:
+def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Let ``write`` fill a temporary file beside ``path``, flush it to disk and rename it into place."""
     path.parent.mkdir(parents=True, exist_ok=True)
     descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
@@ -26,4 +26,4 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], None]) -> None:
 def write_json(path: str | Path, document: Any) -> None:
     """Write ``document`` as indented JSON, atomically. Non-finite numbers are refused: JSON has no word for them."""
     text = json.dumps(document, indent=1, allow_nan=False) + "\n"
-    write_atomically(Path(path), lambda stream: stream.write(text.encode()) and None)
+    write_atomically(Path(path), lambda stream: stream.write(text.encode()))

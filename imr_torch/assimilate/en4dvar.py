@@ -237,9 +237,7 @@ class _Search:
         slope = self._slope(centre)
         gradients = (by_gel.mT @ slope[..., None])[..., 0].sum(-2), (by_nuisance.mT @ slope[..., None])[..., 0]
         sd = self.batch.sd(centre)[..., None, :]
-        whitened = [
-            self.batch.whiten(x.movedim(-1, 0), sd.movedim(-2, 0)).movedim(0, -1) for x in (by_gel, by_nuisance)
-        ]
+        whitened = [self.batch.whiten(x.movedim(-1, 0), sd.movedim(-2, 0)).movedim(0, -1) for x in (by_gel, by_nuisance)]
         return normal_equations(gel, nuisances, gradients, (whitened[0], whitened[1]))
 
     def _slope(self, prediction: Tensor) -> Tensor:

@@ -69,8 +69,8 @@ class Journal:
     def store(self, experiment: Experiment, name: str) -> dict[str, Any]:
         """Write an experiment's curves beside the journal; returns the JSON-ready record that finds them again."""
         path = self.folder / f"{name}.npz"
-        arrays = {"times": experiment.times.numpy(), "radius": experiment.radius.numpy()}
-        write_atomically(path, lambda stream: np.savez(stream, **arrays))
+        times, radius = experiment.times.numpy(), experiment.radius.numpy()
+        write_atomically(path, lambda stream: np.savez(stream, times=times, radius=radius))
         return {
             "label": experiment.label,
             "design": list(experiment.design),

@@ -17,7 +17,17 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate
 from imr_torch.campaign.journal import Journal
-from imr_torch.design import DesignSearch, DesignSpace, ExpectedInformationGain, Plan, search_design
+from imr_torch.design import (
+    DesignOptimizer,
+    DesignSearch,
+    DesignSpace,
+    ExpectedInformationGain,
+    InformationGain,
+    Plan,
+    Recommendation,
+    search_design,
+    tell_gain,
+)
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch, collapse_time
@@ -68,14 +78,12 @@ class Proposal:
         design: ``2`` tensor, (We, R_inf*).
         gain: expected information gain there, nats (posterior mean of the surrogate).
         gain_sd: its standard deviation.
-        search: the search behind it; None when it was read back from the journal.
     """
 
     step: int
     design: Tensor
     gain: float
     gain_sd: float
-    search: DesignSearch | None = None
 
 
 @dataclass(frozen=True)
@@ -185,10 +193,22 @@ class Campaign:
         )
         best = search.recommendation
         gains = [asdict(g) | {"design": d.tolist()} for g, d in zip(search.gains, search.designs, strict=True)]
-        self.journal.append(
-            "ask", step=number, design=best.design.tolist(), gain=best.mean, gain_sd=best.sd, evaluations=gains
-        )
-        return Proposal(number, best.design, best.mean, best.sd, search)
+        self.journal.append("ask", step=number, design=best.design.tolist(), gain=best.mean, gain_sd=best.sd, evaluations=gains)
+        return Proposal(number, best.design, best.mean, best.sd)
+
+    def search(self, number: int) -> DesignSearch | None:
+        """The search behind the proposal of a step, rebuilt from the journal; None when that step was never asked."""
+        known = self.journal.find("ask", number)
+        if known is None:
+            return None
+        rows = [dict(row) for row in known["evaluations"]]
+        designs = torch.tensor([row.pop("design") for row in rows], dtype=torch.float64)
+        gains = tuple(InformationGain(**row) for row in rows)
+        optimizer = DesignOptimizer(self.settings.space, seed=child(self.seed, "design", number), initial=self.settings.initial)
+        for design, gain in zip(designs, gains, strict=True):
+            tell_gain(optimizer, design, gain)
+        best = Recommendation(torch.tensor(known["design"], dtype=torch.float64), known["gain"], known["gain_sd"])
+        return DesignSearch(best, designs, gains, optimizer)
 
     def tell(self, *experiments: Experiment, progress: Progress | None = None) -> Step:
         """Record what was measured, with its achieved design, and update the belief.

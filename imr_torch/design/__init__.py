@@ -2,7 +2,7 @@
 
 from imr_torch.design.acquisition import ExpectedInformationGain
 from imr_torch.design.eig import InformationGain, Plan, expected_information_gain
-from imr_torch.design.optimizer import DesignOptimizer, DesignSearch, Recommendation, search_design
+from imr_torch.design.optimizer import DesignOptimizer, DesignSearch, Recommendation, search_design, tell_gain
 from imr_torch.design.space import DESIGN_NAMES, DesignSpace
 
 __all__ = [
@@ -16,4 +16,5 @@ __all__ = [
     "Recommendation",
     "expected_information_gain",
     "search_design",
+    "tell_gain",
 ]

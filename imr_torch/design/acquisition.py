@@ -49,9 +49,7 @@ class ExpectedInformationGain(AcquisitionFunction):
             InputDataError: for a design outside the space.
         """
         self.space.check(designs)
-        return expected_information_gain(
-            self.belief, designs, self.simulator, self.plan, draws=self.draws, seed=self.seed
-        )
+        return expected_information_gain(self.belief, designs, self.simulator, self.plan, draws=self.draws, seed=self.seed)
 
     def forward(self, X: Tensor) -> Tensor:
         """Gain of each batch of designs.

@@ -4,6 +4,7 @@ The surrogate is BoTorch's ``SingleTaskGP`` with a Matern-5/2 ARD kernel and the
 noise. What is recommended is the maximum of the posterior mean, not the best noisy value (winner's curse).
 """
 
+import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.random import child
 
+_SMALLEST_VARIANCE = 1e-8  # nats^2: draws may agree exactly, and a known noise of 0 is no noise model
 Acquisition = Literal["qLogNEI", "qEI"]
 
 
@@ -159,6 +161,13 @@ class DesignSearch:
     optimizer: DesignOptimizer
 
 
+def tell_gain(optimizer: DesignOptimizer, design: Tensor, gain: InformationGain) -> None:
+    """Tell the gain of one design (``2`` tensor), unless too many of its bubbles failed for it to count."""
+    if math.isfinite(gain.value):
+        value = torch.tensor([[gain.value]], dtype=torch.float64)
+        optimizer.tell(design[None], value, torch.full_like(value, max(gain.variance, _SMALLEST_VARIANCE)))
+
+
 def search_design(
     acquisition: ExpectedInformationGain,
     *,
@@ -193,9 +202,7 @@ def search_design(
         gain = acquisition.estimate(design[None])
         designs.append(design)
         gains.append(gain)
-        if gain.value == gain.value:
-            column = torch.tensor([[gain.value]], dtype=torch.float64)
-            optimizer.tell(design[None], column, torch.full_like(column, max(gain.variance, 1e-8)))
+        tell_gain(optimizer, design, gain)
         if progress:
             error = gain.variance**0.5
             progress(

@@ -43,7 +43,7 @@ class DesignSpace:
         if X.shape[-1:] != (2,):
             raise ShapeError(f"X has shape {tuple(X.shape)}; expected ... x 2 with {DESIGN_NAMES}.")
         slack = 1e-9 * (self.bounds[1] - self.bounds[0])
-        inside = ((X >= self.bounds[0] - slack) & (X <= self.bounds[1] + slack)).all(-1)
+        inside = ((self.bounds[0] - slack <= X) & (self.bounds[1] + slack >= X)).all(-1)
         if not bool(inside.all()):
             row = X[~inside][0].tolist()
             raise InputDataError(

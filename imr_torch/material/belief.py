@@ -49,7 +49,7 @@ class ModelBelief:
         kind = material(self.model)
         if set(self.known) != set(kind.known):
             raise InputDataError(
-                f"Model {self.model!r} needs known values of {list(kind.known) or 'nothing'}, got {list(self.known) or 'nothing'}."
+                f"Model {self.model!r} needs known {list(kind.known) or 'nothing'}, got {list(self.known) or 'nothing'}."
             )
         for name, value in self.known.items():
             PARAMETERS.check(name, torch.tensor(value))

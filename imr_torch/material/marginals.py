@@ -15,7 +15,6 @@ from torch.special import ndtri
 
 from imr_torch.errors import InputDataError
 
-
 _FAR = 25.0  # standard deviations from which tails are computed by their asymptotic form
 
 
@@ -139,7 +138,9 @@ class LogNormal:
         if not 0.0 < self.median < math.inf:
             raise InputDataError(f"LogNormal.median is {self.median}; it must be positive and finite, in SI units.")
         if not 1.0 < self.factor < math.inf:
-            raise InputDataError(f"LogNormal.factor is {self.factor}; a spread needs a factor above 1 (2 means 'within twofold').")
+            raise InputDataError(
+                f"LogNormal.factor is {self.factor}; a spread needs a factor above 1 (2 means 'within twofold')."
+            )
 
     def to_physical(self, z: Tensor) -> Tensor:
         """See :class:`Marginal`."""

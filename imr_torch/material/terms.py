@@ -5,6 +5,7 @@ Sources: Gaudron, Warnez & Johnsen (J. Fluid Mech. 766, 2015) for the neo-Hookea
 """
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -15,8 +16,8 @@ from imr_torch.material.stress import Stress, StressTerm
 class NewtonianViscosity:
     """``S = -4 U / (Re R)`` (Estrada et al. 2018, eq. 10)."""
 
-    names = ("mu",)
-    switch = "mu"
+    names: ClassVar[tuple[str, ...]] = ("mu",)
+    switch: ClassVar[str] = "mu"
 
     def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
         """See :class:`imr_torch.material.stress.StressTerm`."""
@@ -28,8 +29,8 @@ class NewtonianViscosity:
 class NeoHookeanElasticity:
     """``S = -(5 - 4/l - 1/l^4) / (2 Ca)`` with ``l = R/R_inf`` (Gaudron et al. 2015, eq. 2.22)."""
 
-    names = ("G",)
-    switch = "G"
+    names: ClassVar[tuple[str, ...]] = ("G",)
+    switch: ClassVar[str] = "G"
 
     def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
         """See :class:`imr_torch.material.stress.StressTerm`."""
@@ -47,8 +48,8 @@ class StrainStiffening:
     Yang et al. (2020), eq. 13; ``alpha`` weighs the square of the first invariant ``I_1 - 3``.
     """
 
-    names = ("G", "alpha")
-    switch = "alpha"
+    names: ClassVar[tuple[str, ...]] = ("G", "alpha")
+    switch: ClassVar[str] = "alpha"
 
     def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
         """See :class:`imr_torch.material.stress.StressTerm`."""

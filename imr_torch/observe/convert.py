@@ -68,4 +68,8 @@ def _rest(trace: RadiusTrace, landmarks: Landmarks, assumed: tuple[float, float]
             "or Rinf_m in the JSON beside the file, or leave the experiment out."
         )
     top = landmarks.max_radius_m
-    return landmarks.rest_radius_m / top, landmarks.rest_radius_sd_m / top, "Give the rest radius with rest_radius=(value, sd)."
+    return (
+        landmarks.rest_radius_m / top,
+        landmarks.rest_radius_sd_m / top,
+        "Give the rest radius with rest_radius=(value, sd).",
+    )

@@ -45,7 +45,7 @@ class Landmarks:
             largest frame).
         rest_radius_m: equilibrium radius in m, or None.
         rest_radius_sd_m: its standard deviation, or None.
-        rest_settled: whether the bubble has come to rest within the record.
+        rest_settled: whether the bubble has come to rest within the record (a quiet tail, at least half a cycle long).
         rest_method: "settled tail", "last cycles", "first rebound", "as given" or "not in record".
         collapse_times_s: times of the minima after the maximum radius.
         rebound_times_s: times of the maxima after the first collapse.
@@ -106,7 +106,7 @@ def find_landmarks(trace: RadiusTrace, *, tail_fraction: float = 0.15, settled_b
     Args:
         trace: the curve.
         tail_fraction: share of the last frames whose mean is the rest radius, if the bubble has settled.
-        settled_below: the bubble has settled if std/mean of these frames is below this.
+        settled_below: the bubble has settled if std/mean of these frames is below this, over half a cycle or more.
 
     Returns:
         The landmarks, with a method for the maximum and the rest radius.
@@ -295,7 +295,11 @@ def _rest(
     tail = radius[-count:]
     mean, scatter = float(tail.mean()), float(tail.std(ddof=1)) if count <= len(radius) else math.inf
     came_down = bool(maxima) or mean < 0.6 * float(radius.max())
-    if came_down and scatter / mean < settled_below:
+    turns = sorted([float(time[radius.argmax()]), *(x.time for x in (*minima, *maxima))])
+    # A quiet tail shorter than half a cycle may be the flat top of a rebound.
+    quiet = float(time[-1]) - min(float(time[-count:][0]), turns[-1])
+    long_enough = len(turns) == 1 or quiet >= float(np.median(np.diff(turns)))
+    if came_down and long_enough and scatter / mean < settled_below:
         drift = 0.5 * abs(float(tail[: count // 2].mean() - tail[count // 2 :].mean()))
         return mean, math.hypot(scatter, drift), True, "settled tail"
     if maxima:

@@ -96,8 +96,7 @@ class Layout:
     def _check_scales(self) -> None:
         if self.time is None and self.frame_interval is None:
             raise InputDataError(
-                "The layout names no time and no frame_interval; set time='<name>', or frame_interval=<seconds between "
-                "frames>."
+                "The layout names no time and no frame_interval; set time='<name>', or frame_interval=<seconds between frames>."
             )
         if self.time_unit == "frames" and self.frame_interval is None:
             raise InputDataError("Layout.time_unit is 'frames'; set frame_interval=<seconds between frames>.")
@@ -288,8 +287,7 @@ class _Constants:
         top = None if max_radius is None else max_radius * layout.length_factor(layout.max_radius_unit)
         if top is not None and not 0.0 < top < math.inf:
             raise InputDataError(
-                f"{curve.file}: experiment '{curve.experiment_id}': max_radius is {max_radius}; expected a positive "
-                "length."
+                f"{curve.file}: experiment '{curve.experiment_id}': max_radius is {max_radius}; expected a positive length."
             )
         radius = curve.radius * layout.length_factor(layout.radius_unit, self.pixel_size, top)
         given = replace(curve.given, max_radius_m=top) if top is not None else curve.given
@@ -394,8 +392,7 @@ def read_table(path: Path) -> Table:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputDataError(
-            f"{path}: is neither a MATLAB file nor UTF-8 text ({error.reason} at byte {error.start}); export as "
-            "CSV in UTF-8."
+            f"{path}: is neither a MATLAB file nor UTF-8 text ({error.reason} at byte {error.start}); export as CSV in UTF-8."
         ) from None
     lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
     mark = next((c for c in ";\t," if c in lines[0][1]), None)
@@ -467,16 +464,12 @@ def _groups(path: Path, table: Table, layout: Layout) -> tuple[dict[str, list[in
         return {path.stem: list(range(len(table.cells)))}, []
     marks = [i for i, row in enumerate(table.cells) if _all_equal(row, layout.separator)]
     left_out = (
-        [LeftOut(str(path), "", row_ranges(table.lines[i] for i in marks), "separator rows between curves")]
-        if marks
-        else []
+        [LeftOut(str(path), "", row_ranges(table.lines[i] for i in marks), "separator rows between curves")] if marks else []
     )
     parts = [list(range(a + 1, b)) for a, b in zip([-1, *marks], [*marks, len(table.cells)], strict=True)]
     if marks and 0 < len(parts[0]) < MIN_SAMPLES:
         left_out.append(
-            LeftOut(
-                str(path), "", row_ranges(table.lines[i] for i in parts[0]), "stray row(s) before the first separator"
-            )
+            LeftOut(str(path), "", row_ranges(table.lines[i] for i in parts[0]), "stray row(s) before the first separator")
         )
         parts[0] = []
     filled = [part for part in parts if part]
@@ -500,9 +493,7 @@ def _given_beside(path: Path, names: list[str]) -> tuple[dict[str, Given], list[
     notes = [f"{beside}: gives the laboratory's values for {len(said)} of {len(names)} experiments."]
     extra = [name for name in entries if name not in names]
     if extra:
-        notes.append(
-            f"{beside}: describes {len(extra)} experiment(s) that {path.name} does not hold: {', '.join(extra[:5])}."
-        )
+        notes.append(f"{beside}: describes {len(extra)} experiment(s) that {path.name} does not hold: {', '.join(extra[:5])}.")
     return said, notes
 
 

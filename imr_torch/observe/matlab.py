@@ -90,13 +90,10 @@ def vectors(file: str, variables: Variables, name: str) -> list[np.ndarray]:
         where = f"{file}: variable '{name}'" + (f", cell {i + 1}" if len(cells) > 1 else "")
         array = None if isinstance(cell, (dict, list, str)) else np.asarray(cell)
         if array is None or array.dtype.kind not in "fiub":
-            raise InputDataError(
-                f"{where} holds {str(cell)[:40]!r}, not real numbers; name a numeric variable in the Layout."
-            )
+            raise InputDataError(f"{where} holds {str(cell)[:40]!r}, not real numbers; name a numeric variable in the Layout.")
         if sum(n > 1 for n in array.shape) > 1:
             raise InputDataError(
-                f"{where} has shape {array.shape}; expected a vector, or a cell array of vectors: save each curve as "
-                "one cell."
+                f"{where} has shape {array.shape}; expected a vector, or a cell array of vectors: save each curve as one cell."
             )
         out.append(array.astype(np.float64).reshape(-1))
     return out

@@ -78,9 +78,7 @@ class RadiusTrace:
 
     def __post_init__(self) -> None:
         if not self.experiment_id:
-            raise InputDataError(
-                f"A trace from {self.source} has an empty experiment_id; give every experiment a name."
-            )
+            raise InputDataError(f"A trace from {self.source} has an empty experiment_id; give every experiment a name.")
         for name in ("time_s", "radius_m"):
             value = torch.as_tensor(getattr(self, name), dtype=torch.float64)
             object.__setattr__(self, name, value)
@@ -290,8 +288,7 @@ class TraceSet:
             if count > 1:
                 files = ", ".join(sorted({t.source for t in self.traces if t.experiment_id == name}))
                 raise InputDataError(
-                    f"experiment_id '{name}' occurs {count} times (in {files}); load a file once, or rename the "
-                    "experiments."
+                    f"experiment_id '{name}' occurs {count} times (in {files}); load a file once, or rename the experiments."
                 )
 
     @property

@@ -46,9 +46,7 @@ class Evidence:
         return self.effective_samples >= max(20.0, 0.1 * self.samples)
 
 
-def log_evidence(
-    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int, samples: int = 256
-) -> Evidence:
+def log_evidence(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int, samples: int = 256) -> Evidence:
     """Evidence of a fitted model by importance sampling.
 
     Args:
@@ -100,6 +98,4 @@ def _summarise(model: str, log_weights: Tensor) -> Evidence:
 
 def evidences(assimilation: Assimilation, simulator: Simulator, *, seed: int, samples: int = 256) -> tuple[Evidence, ...]:
     """Evidence of every model of an assimilation; see :func:`log_evidence`."""
-    return tuple(
-        log_evidence(fit, assimilation.batch, simulator, seed=seed, samples=samples) for fit in assimilation.fits
-    )
+    return tuple(log_evidence(fit, assimilation.batch, simulator, seed=seed, samples=samples) for fit in assimilation.fits)

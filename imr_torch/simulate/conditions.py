@@ -34,7 +34,9 @@ class PolytropicGas:
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.exponent <= 5.0 / 3.0:
-            raise InputDataError(f"PolytropicGas.exponent is {self.exponent}; expected 1 (isothermal) to 5/3 (monatomic adiabatic).")
+            raise InputDataError(
+                f"PolytropicGas.exponent is {self.exponent}; expected 1 (isothermal) to 5/3 (monatomic adiabatic)."
+            )
         if self.reference not in ("maximum", "rest"):
             raise InputDataError(f"PolytropicGas.reference is {self.reference!r}; expected 'maximum' or 'rest'.")
 

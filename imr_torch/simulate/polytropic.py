@@ -1,4 +1,4 @@
-"""The polytropic simulator: Keller-Miksis with a gas spring, a whole batch at once, in a fraction of a millisecond each.
+"""The polytropic simulator: Keller-Miksis with a gas spring, a whole batch at once.
 
 The batch is integrated by ``torchdiffeq`` (fixed-step RK4) under the time transformation of
 :mod:`imr_torch.simulate.clock`, in blocks of steps; members that have reached their last time leave after each block.
@@ -139,7 +139,7 @@ def _read(bubble: PolytropicBubble, history: Tensor, times: Tensor, status: Tens
     radius, velocity = torch.where(good, radius, 1.0), torch.where(good, velocity, 0.0)
     nodes = torch.where(good, nodes, reached).cummax(0).values
     acceleration, _ = bubble.acceleration(radius, velocity)
-    at, speed = interpolate(*(x.T.contiguous() for x in (nodes, radius, velocity, acceleration)), times)
+    at, speed = interpolate(nodes.T.contiguous(), radius.T, velocity.T, acceleration.T, times)
     known = (status == Status.DONE)[:, None] | (times < reached[:, None])
     nan = torch.full_like(times, torch.nan)
     pressure = bubble.bubble_pressure(at.T).T

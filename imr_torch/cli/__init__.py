@@ -1,0 +1,58 @@
+"""The command ``imr-torch``: one file per subcommand, results as text, JSON and figures.
+
+Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that did not converge.
+"""
+
+import argparse
+import sys
+import warnings
+from collections.abc import Sequence
+
+import torch
+
+from imr_torch.cli import campaign, characterize, design, simulate
+from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError
+
+COMMANDS = (simulate, characterize, design, campaign)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line, with every subcommand's own help."""
+    top = argparse.ArgumentParser(
+        prog="imr-torch",
+        description="Inertial microcavitation rheometry: simulate bubbles, infer gel properties from R(t), design the next "
+        "experiment.",
+        epilog="Start with:  imr-torch campaign --case stiff-pa --designs 2 --out demo",
+    )
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for module in COMMANDS:
+        sub = commands.add_parser(
+            module.NAME,
+            help=module.SUMMARY,
+            description=module.__doc__,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(sub)
+        sub.add_argument("--seed", type=int, default=0, help="seed of everything random (default 0)")
+        sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
+        sub.add_argument("--threads", type=int, default=1, help="processor threads (default 1, usually fastest)")
+        sub.add_argument("--quiet", action="store_true", help="no progress on the terminal")
+        sub.set_defaults(run=module.run)
+    return top
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    args = parser().parse_args(argv)
+    torch.set_num_threads(max(1, args.threads))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # the certificate is printed with the result
+            args.run(args)
+    except ConvergenceError as error:
+        print(f"imr-torch: not converged: {error}", file=sys.stderr)
+        return 1
+    except ImrError as error:
+        print(f"imr-torch: {error}", file=sys.stderr)
+        return 2
+    return 0

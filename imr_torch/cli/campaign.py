@@ -1,0 +1,155 @@
+"""A sequence of experiments, each chosen for what it is expected to tell.
+
+With --case the experiments are simulated: a reference gel is kept secret, shot at and characterised.
+
+  imr-torch campaign --case stiff-pa --designs 2 --out demo
+
+With your own gel, ask and tell in turn; the folder remembers everything:
+
+  imr-torch campaign --models nhkv,gen_qkv --out gel7                    # says what to shoot first
+  imr-torch campaign --models nhkv,gen_qkv --out gel7 --resume --tell shot1.csv   # learns, says what to shoot next
+
+Told files carry their achieved design: Rmax and R_inf are measured from the curves. A campaign that was cut off
+continues with --resume, with the same result as if it had not been.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from imr_torch.campaign import Campaign, CampaignSettings, Journal
+from imr_torch.characterize import intervals, predictive_band, prepare
+from imr_torch.cli.common import add_prior_arguments, parse_pair, prior_of, progress_of, save_figure, write_result
+from imr_torch.cli.design import add_space_arguments, space_of
+from imr_torch.design import Plan
+from imr_torch.errors import InputDataError
+from imr_torch.material import PARAMETERS, ReferenceCase, reference_case
+from imr_torch.observe import Experiment, Layout, SimulatedLaboratory, load_traces
+from imr_torch.plot import plot_experiment, plot_information, plot_parameter, plot_probabilities
+from imr_torch.random import child
+from imr_torch.simulate import PolytropicSimulator
+
+NAME = "campaign"
+SUMMARY = "design, shoot, learn, and again"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the subcommand."""
+    parser.add_argument("--designs", type=int, default=2, help="experiments of a simulated campaign (default 2)")
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder of the journal, figures and JSON")
+    parser.add_argument("--resume", action="store_true", help="continue the journal in --out")
+    parser.add_argument("--tell", nargs="+", metavar="FILE", help="files of an experiment you made")
+    parser.add_argument("--layout", metavar="TEXT", help="how to read told files, as for characterize")
+    parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax of told files without a tail")
+    add_space_arguments(parser)
+    add_prior_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Run a simulated campaign, or one step of a real one."""
+    folder = Path(args.out)
+    existing = Journal(folder).events
+    if existing and not args.resume:
+        raise InputDataError(
+            f"{folder} holds a journal of {len(existing)} events; give --resume to continue it, or another --out."
+        )
+    if args.resume and not existing:
+        raise InputDataError(f"{folder} holds no journal to resume; leave --resume away to start one.")
+    if args.designs < 1:
+        raise InputDataError(f"--designs is {args.designs}; expected at least 1.")
+    simulator = PolytropicSimulator()
+    settings = CampaignSettings(
+        space=space_of(args),
+        plan=Plan(repeats=args.repeats),
+        evaluations=args.evaluations,
+        initial=min(10, args.evaluations),
+    )
+    campaign = Campaign(folder, prior_of(args), simulator, settings=settings, seed=args.seed, note={"case": args.case})
+    started = time.process_time()
+    case = reference_case(args.case) if args.case else None
+    if case:
+        if args.tell:
+            raise InputDataError("--tell gives real experiments and --case simulates them; give one of the two.")
+        _simulated(campaign, case, args)
+    else:
+        _real(campaign, args)
+    _report(campaign, case, args, time.process_time() - started)
+
+
+def _simulated(campaign: Campaign, case: ReferenceCase, args: argparse.Namespace) -> None:
+    """Shoot the secret gel of a reference case."""
+    laboratory = SimulatedLaboratory(
+        campaign.simulator, PARAMETERS.pack(case.truth), noise=campaign.settings.plan.noise, repeats=args.repeats
+    )
+    progress = progress_of(args)
+
+    def shoot(design: torch.Tensor, number: int) -> Experiment:
+        if progress:
+            progress(
+                f"experiment {number}: {campaign.settings.space.describe(design, campaign.simulator.conditions.surroundings)}"
+            )
+        return laboratory.shoot(design, seed=child(args.seed, "shoot", number))
+
+    campaign.run(shoot, args.designs, progress=progress)
+
+
+def _real(campaign: Campaign, args: argparse.Namespace) -> None:
+    """Learn from told files, then say what to shoot next."""
+    progress = progress_of(args)
+    if args.tell:
+        traces = load_traces(*args.tell, layout=Layout.from_text(args.layout) if args.layout else None)
+        print(traces.report())
+        experiments, _ = prepare(traces, campaign.simulator, rest_radius=parse_pair(args.rest_radius, "--rest-radius"))
+        campaign.tell(*experiments, progress=progress)
+    proposal = campaign.ask(progress=progress)
+    where = campaign.settings.space.describe(proposal.design, campaign.simulator.conditions.surroundings)
+    print(f"Shoot next: {where}; expected gain {proposal.gain:.2f} +- {proposal.gain_sd:.2f} nats")
+
+
+def _report(campaign: Campaign, case: ReferenceCase | None, args: argparse.Namespace, seconds: float) -> None:
+    belief = campaign.belief
+    document: dict[str, Any] = {
+        "designs": [list(e.design) for e in campaign.experiments],
+        "relative_error": {},
+        "model_probabilities": belief.probabilities,
+        "intervals": {part.model: intervals(part) for part in belief.models},
+        "cpu_seconds": seconds,
+        "belief": belief.to_dict(),
+    }
+    print("model probabilities: " + ", ".join(f"{k} {v:.4f}" for k, v in belief.probabilities.items()))
+    if case:
+        part = belief[case.truth_model]
+        truth = {name: case.truth[name] for name in part.names}
+        document["relative_error"] = {n: abs(float(m) / truth[n] - 1.0) for n, m in zip(part.names, part.means, strict=True)}
+        for name, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
+            entry = PARAMETERS[name]
+            error = 100 * document["relative_error"][name]
+            mean, sd, true = (x * entry.display_scale for x in (mean, sd, truth[name]))
+            print(f"  {entry.label}: {mean:.4g} +- {sd:.2g}, truth {true:.4g}, error {error:.2f} %")
+    _figures(campaign, case)
+    write_result(args, document)
+
+
+def _figures(campaign: Campaign, case: ReferenceCase | None) -> None:
+    """Figures of the campaign so far; those that need a fit are drawn for the steps made in this run."""
+    folder, best = campaign.journal.folder, campaign.belief.best
+    history = [("prior", campaign.prior), *((f"after {s.number}", s.belief) for s in campaign.steps)]
+    save_figure(plot_probabilities(history), folder, "models")
+    for name in best.names:
+        shown = [(label, belief[best.model]) for label, belief in (history[0], *history[1:][-3:])]
+        truth = case.truth.get(name) if case and case.truth_model == best.model else None
+        save_figure(plot_parameter(shown, name, truth=truth), folder, f"parameter_{name}")
+    for number in range(1, len(campaign.experiments) + 2):
+        search = campaign.search(number)
+        if search:
+            save_figure(plot_information(search), folder, f"information_{number:03d}")
+    last = campaign.steps[-1] if campaign.steps else None
+    if last and last.assimilation:
+        band = predictive_band(last.assimilation, last.belief, campaign.simulator, best.model)
+        for e, experiment in enumerate(last.assimilation.batch.experiments):
+            axes = plot_experiment(experiment, (band[0][e], band[1][e], band[2][e]))
+            save_figure(axes, folder, f"curve_{e + 1:03d}")
+    print(f"figures and journal in {folder}")

@@ -1,0 +1,97 @@
+"""What the subcommands share: priors from options, progress, and where results go."""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+
+from imr_torch.errors import InputDataError
+from imr_torch.files import write_json
+from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
+
+DEFAULT_MODELS = "newtonian,nhkv,gen_qkv"
+
+
+def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options that choose the prior belief."""
+    group = parser.add_argument_group("what is believed before")
+    group.add_argument("--case", choices=list(CASES), help="prior of a reference gel of the literature")
+    group.add_argument("--belief", metavar="FILE", help="a saved belief (the 'belief' of an earlier --json, or Belief.save)")
+    group.add_argument(
+        "--models",
+        default=DEFAULT_MODELS,
+        help=f"candidate models, of {', '.join(MATERIALS)} (default {DEFAULT_MODELS})",
+    )
+    group.add_argument(
+        "--known",
+        default="",
+        metavar="NAME=VALUE,...",
+        help="independently measured parameters in SI (qkv needs G=...)",
+    )
+
+
+def prior_of(args: argparse.Namespace) -> Belief:
+    """The prior that the options name: a saved belief, a case, or the wide prior over ``--models``."""
+    if args.belief and args.case:
+        raise InputDataError("--belief and --case both name a prior; give one of them.")
+    if args.belief:
+        return Belief.load(args.belief)
+    if args.case:
+        return reference_case(args.case).prior
+    return wide_prior([key.strip() for key in args.models.split(",")], known=parse_values(args.known, "--known"))
+
+
+def parse_values(text: str, option: str) -> dict[str, float]:
+    """``"G=2770,mu=0.1"`` as a dictionary of SI values."""
+    values = {}
+    for item in filter(None, (part.strip() for part in text.split(","))):
+        name, _, number = item.partition("=")
+        try:
+            values[PARAMETERS[name.strip()].name] = float(number)
+        except ValueError:
+            raise InputDataError(f"{option}: {item!r} is not NAME=NUMBER, for example G=2770 (SI units).") from None
+    return values
+
+
+def parse_pair(text: str | None, option: str) -> tuple[float, float] | None:
+    """``"0.2:0.1"`` as two numbers; None stays None."""
+    if text is None:
+        return None
+    try:
+        first, second = (float(x) for x in text.split(":"))
+    except ValueError:
+        raise InputDataError(f"{option}: {text!r} is not VALUE:VALUE, for example 0.2:0.1.") from None
+    return first, second
+
+
+def progress_of(args: argparse.Namespace) -> Callable[[str], None] | None:
+    """A line to standard error with the time since the start, or None with ``--quiet``."""
+    if args.quiet:
+        return None
+    started = time.monotonic()
+    return lambda text: print(f"[{time.monotonic() - started:6.1f} s] {text}", file=sys.stderr, flush=True)
+
+
+def save_figure(ax: Axes, folder: Path, name: str) -> Path:
+    """Save the figure of ``ax`` as PNG and close it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}.png"
+    figure = ax.figure
+    figure.savefig(path, dpi=150)  # type: ignore[union-attr]
+    plt.close(figure)  # type: ignore[arg-type]
+    return path
+
+
+def write_result(args: argparse.Namespace, document: dict[str, Any]) -> None:
+    """Write ``document`` to ``--json`` and into ``--out``, where given."""
+    targets = [Path(args.json)] if args.json else []
+    if getattr(args, "out", None):
+        targets.append(Path(args.out) / f"{args.command}.json")
+    for path in targets:
+        write_json(path, document)
+        print(f"wrote {path}")

@@ -1,0 +1,75 @@
+"""Find the experiment that is expected to tell most: the (We, R_inf*) of largest expected information gain.
+
+imr-torch design --case stiff-pa --out next
+imr-torch design --belief posterior.json --we-range 150:600 --rinf-range 0.15:0.25
+"""
+
+import argparse
+from pathlib import Path
+
+from imr_torch.cli.common import add_prior_arguments, parse_pair, prior_of, progress_of, save_figure, write_result
+from imr_torch.design import DesignSearch, DesignSpace, ExpectedInformationGain, Plan, search_design
+from imr_torch.plot import plot_information
+from imr_torch.simulate import PolytropicSimulator
+
+NAME = "design"
+SUMMARY = "the most informative next experiment"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the subcommand."""
+    add_space_arguments(parser)
+    parser.add_argument("--policy", choices=("qLogNEI", "qEI"), default="qLogNEI", help="outer acquisition (default qLogNEI)")
+    parser.add_argument("--draws", type=int, default=64, help="draws per model of each estimate (default 64)")
+    parser.add_argument("--out", metavar="DIR", help="folder for the map and JSON")
+    add_prior_arguments(parser)
+
+
+def add_space_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options for the designs a laboratory can shoot and how it will observe them."""
+    parser.add_argument("--we-range", default="100:1000", metavar="LOW:HIGH", help="Weber numbers (default 100:1000)")
+    parser.add_argument("--rinf-range", default="0.14:0.30", metavar="LOW:HIGH", help="R_inf/Rmax (default 0.14:0.30)")
+    parser.add_argument("--repeats", type=int, default=100, help="curves per design (default 100)")
+    parser.add_argument("--evaluations", type=int, default=25, help="designs evaluated in each search (default 25)")
+
+
+def space_of(args: argparse.Namespace) -> DesignSpace:
+    """The design space that the options name."""
+    weber, rest = parse_pair(args.we_range, "--we-range"), parse_pair(args.rinf_range, "--rinf-range")
+    assert weber is not None
+    assert rest is not None
+    return DesignSpace(weber, rest)
+
+
+def search_to_dict(search: DesignSearch) -> list[dict[str, float]]:
+    """JSON-ready rows of all evaluated designs."""
+    rows = []
+    for design, gain in zip(search.designs.tolist(), search.gains, strict=True):
+        row = {"We": design[0], "R_inf*": design[1], "counted": gain.counted, "drawn": gain.drawn}
+        if gain.value == gain.value:
+            row |= {"eig": gain.value, "sd": gain.variance**0.5, "parameters": gain.parameters, "model": gain.model}
+        rows.append(row)
+    return rows
+
+
+def run(args: argparse.Namespace) -> None:
+    """Search and report."""
+    simulator, space = PolytropicSimulator(), space_of(args)
+    acquisition = ExpectedInformationGain(
+        prior_of(args), simulator, plan=Plan(repeats=args.repeats), space=space, draws=args.draws
+    )
+    search = search_design(
+        acquisition,
+        seed=args.seed,
+        evaluations=args.evaluations,
+        initial=min(10, args.evaluations),
+        policy=args.policy,
+        progress=progress_of(args),
+    )
+    best = search.recommendation
+    print(f"Shoot {space.describe(best.design, simulator.conditions.surroundings)}")
+    print(f"expected information gain {best.mean:.3f} +- {best.sd:.3f} nats")
+    if args.out:
+        print(f"wrote {save_figure(plot_information(search), Path(args.out), 'information')}")
+    design = {"We": float(best.design[0]), "R_inf*": float(best.design[1])}
+    write_result(args, {"design": design, "eig": best.mean, "eig_sd": best.sd, "evaluations": search_to_dict(search)})

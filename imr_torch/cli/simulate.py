@@ -1,0 +1,72 @@
+"""Simulate one bubble: a gel and a design in, R(t) out.
+
+  imr-torch simulate --model nhkv --set G=8310,mu=0.093 --we 300 --rinf 0.2 --out bubble
+
+Values are in SI units (G in Pa, mu in Pa s). The design is the Weber number We = p_inf Rmax/(2 gamma) and
+R_inf* = R_inf/Rmax.
+"""
+
+import argparse
+from pathlib import Path
+
+import torch
+
+from imr_torch.cli.common import parse_values, save_figure, write_result
+from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.material import MATERIALS, PARAMETERS, material
+from imr_torch.plot import plot_solution
+from imr_torch.simulate import STEPPINGS, PolytropicSimulator
+
+NAME = "simulate"
+SUMMARY = "R(t) of one bubble in a gel"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the subcommand."""
+    parser.add_argument("--model", default="nhkv", help=f"constitutive model, of {', '.join(MATERIALS)} (default nhkv)")
+    parser.add_argument("--set", default="", metavar="NAME=VALUE,...", help="parameters of the model in SI units")
+    parser.add_argument("--we", type=float, default=300.0, help="Weber number (default 300: Rmax 332 um)")
+    parser.add_argument("--rinf", type=float, default=0.2, help="R_inf/Rmax (default 0.2)")
+    parser.add_argument("--until", type=float, default=4.0, help="last time, in Rmax/U_c (default 4)")
+    parser.add_argument("--frames", type=int, default=161, help="number of output times (default 161)")
+    parser.add_argument("--accuracy", choices=list(STEPPINGS), default="default", help="step size (default: default)")
+    parser.add_argument("--out", metavar="DIR", help="folder for figure and JSON")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Simulate and write."""
+    kind, values = material(args.model), parse_values(args.set, "--set")
+    if set(values) != set(kind.names):
+        raise InputDataError(f"--set: model {kind.key!r} has the parameters {', '.join(kind.names)}; got {', '.join(values)}.")
+    if args.frames < 2 or not args.until > 0:
+        raise InputDataError(f"--frames is {args.frames} and --until {args.until}; expected at least 2 and above 0.")
+    simulator = PolytropicSimulator(stepping=STEPPINGS[args.accuracy])
+    surroundings = simulator.conditions.surroundings
+    times = torch.linspace(0.0, args.until, args.frames, dtype=torch.float64)
+    design = torch.tensor([[args.we, args.rinf]], dtype=torch.float64)
+    solution = simulator(PARAMETERS.pack(values)[None], design, times)
+    if not bool(solution.ok.all()):
+        raise ConvergenceError(solution.summary())
+    max_radius = float(surroundings.max_radius(args.we))
+    radius, pressure = solution.radius[0], solution.bubble_pressure[0]
+    print(
+        f"{kind.title}, Rmax {1e6 * max_radius:.1f} um: smallest sampled R* {float(radius.min()):.4f}, largest sampled bubble "
+        f"pressure {float(pressure.max()):.1f} p_inf, R* at the end {float(radius[-1]):.4f}"
+    )
+    if args.out:
+        print(f"wrote {save_figure(plot_solution(solution), Path(args.out), 'radius')}")
+    time_s = times * float(surroundings.time_scale(max_radius))
+    write_result(
+        args,
+        {
+            "model": kind.key,
+            "parameters": values,
+            "design": {"We": args.we, "R_inf*": args.rinf, "Rmax_m": max_radius},
+            "time_s": time_s.tolist(),
+            "radius_m": (radius * max_radius).tolist(),
+            "t_star": times.tolist(),
+            "R_star": radius.tolist(),
+            "U_star": solution.velocity[0].tolist(),
+            "bubble_pressure_over_p_inf": pressure.tolist(),
+        },
+    )

@@ -1,0 +1,170 @@
+"""Text files in: the right numbers in SI units, and every row either used or accounted for."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from imr_torch.errors import InputDataError
+from imr_torch.observe.load import KNOWN_LAYOUTS, Layout, load_traces
+from imr_torch.observe.traces import Given, RadiusTrace, TraceSet, row_ranges
+
+HEADER = "experiment_id,time_s,radius_m\n"
+
+
+def table(name: str = "a", n: int = 8, start: float = 0.0) -> str:
+    return "".join(f"{name},{start + i * 1e-6:.9g},{2e-4 - i * 1e-5:.9g}\n" for i in range(n))
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_that_the_separated_table_gives_its_59_curves_in_si_units(shared: Path) -> None:
+    traces = load_traces(shared / "data/original/laser3.csv")
+    assert len(traces) == 59
+    assert len(traces[0]) == 20
+    assert min(len(t) for t in traces) >= 13
+    assert max(len(t) for t in traces) <= 23
+    assert traces[0].time_s[0].item() == pytest.approx(-2.1406060606e-5, rel=1e-9)
+    assert traces[0].radius_m[0].item() == pytest.approx(62.00776745635937e-6, rel=1e-12)
+    assert traces.notes[0].endswith("read with the known layout 'separated_table'.")
+
+
+def test_that_every_line_of_the_separated_table_is_used_or_accounted_for(shared: Path) -> None:
+    path = shared / "data/original/laser3.csv"
+    traces = load_traces(path)
+    reasons = [x.reason for x in traces.left_out]
+    assert sum("stray row" in r for r in reasons) == 1
+    assert sum("before nucleation" in r for r in reasons) == 59
+    stray = next(x for x in traces.left_out if "stray" in x.reason)
+    assert stray.rows == "1"
+    marks = next(x for x in traces.left_out if "separator" in x.reason and "stray" not in x.reason)
+    dropped = [n for part in marks.rows.split(", ") for n in part.split("-")]
+    assert len(dropped) == 59
+    assert sum(len(t) for t in traces) + 59 + 59 + 1 == len(path.read_text().splitlines())
+
+
+def test_that_the_separated_table_equals_its_published_si_version(shared: Path) -> None:
+    ours, theirs = load_traces(shared / "data/original/laser3.csv"), load_traces(shared / "data/gel03_laser.csv")
+    assert len(ours) == len(theirs)
+    for a, b in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(a.time_s, b.time_s, rtol=0, atol=1e-14)
+        torch.testing.assert_close(a.radius_m, b.radius_m, rtol=1e-7, atol=0)
+
+
+def test_that_the_json_beside_a_table_gives_the_laboratorys_values(tmp_path: Path) -> None:
+    path = written(tmp_path / "set.csv", HEADER + table("a") + table("b"))
+    entry = {"experiment_id": "b", "Rmax_m": 2.1e-4, "t_Rmax_s": -1e-7, "Rinf_m": 5e-5, "Rinf_tail_std_m": 1e-6}
+    beside = {"experiments": [{**entry, "Rinf_settled": True}, {"experiment_id": "c"}]}
+    (tmp_path / "set.json").write_text(json.dumps(beside))
+    traces = load_traces(path)
+    assert traces["b"].given == Given(2.1e-4, -1e-7, 5e-5, 1e-6, True)
+    assert traces["a"].given == Given()
+    assert any("describes 1 experiment(s)" in note and note.endswith("c.") for note in traces.notes)
+
+
+def test_that_lost_frames_are_left_out_with_their_rows_and_reasons(tmp_path: Path) -> None:
+    rows = ["0,0", "1,nan", "2,90", "3,0", "4,95", "5,94", "6,", "7,90", "8,80", "9,NaN"]
+    path = written(tmp_path / "x.txt", "t,R\n" + "\n".join(rows))
+    traces = load_traces(path, layout=Layout("R", radius_unit="um", time="t", time_unit="us"))
+    torch.testing.assert_close(traces[0].time_s, 1e-6 * torch.tensor([2.0, 4, 5, 7, 8], dtype=torch.float64))
+    torch.testing.assert_close(traces[0].radius_m, 1e-6 * torch.tensor([90.0, 95, 94, 90, 80], dtype=torch.float64))
+    found = [(x.rows, x.reason.partition("(")[2].rstrip(")")) for x in traces.left_out]
+    assert found == [("2-3", "before nucleation"), ("5, 8", "lost frames"), ("11", "lost frames")]
+    assert all(x.rows in traces.report() and x.reason in traces.report() for x in traces.left_out)
+
+
+def test_that_a_short_curve_is_left_out_and_the_others_stay(tmp_path: Path) -> None:
+    traces = load_traces(written(tmp_path / "x.csv", HEADER + table("a") + table("short", 4) + table("b")))
+    assert traces.ids == ("a", "b")
+    assert traces.left_out[0].experiment_id == "short"
+    assert "only 4 frame(s)" in traces.left_out[0].reason
+    assert traces.left_out[0].rows == "10-13"
+
+
+def test_that_equal_ids_in_two_files_are_told_apart_by_the_files(tmp_path: Path) -> None:
+    one = written(tmp_path / "one.csv", HEADER + table("a") + table("b"))
+    two = written(tmp_path / "two.csv", HEADER + table("a") + table("short", 2))
+    traces = load_traces(one, two)
+    assert traces.ids == ("one:a", "b", "two:a")
+    assert any("experiment 'a' is named 'two:a'" in note for note in traces.notes)
+    assert (load_traces(one) + load_traces(two)).ids == traces.ids
+
+
+def test_that_equal_file_names_in_two_folders_are_told_apart_by_the_folders(tmp_path: Path) -> None:
+    paths = []
+    for folder in ("day1", "day2"):
+        (tmp_path / folder).mkdir()
+        paths.append(written(tmp_path / folder / "run.csv", HEADER + table("a")))
+    assert load_traces(*paths).ids == ("day1/run:a", "day2/run:a")
+
+
+def test_that_a_file_loaded_twice_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path / "one.csv", HEADER + table("a"))
+    with pytest.raises(InputDataError, match=r"occurs 2 times .*load a file once"):
+        load_traces(path, path)
+
+
+def test_that_a_trace_set_is_indexed_selected_and_added(tmp_path: Path) -> None:
+    traces = load_traces(written(tmp_path / "x.csv", HEADER + table("a") + table("b") + table("c")))
+    assert traces.select(["c", "a"]).ids == ("c", "a")
+    assert traces["b"] is traces[1]
+    assert len(traces + TraceSet(())) == 3
+    assert [t.experiment_id for t in traces] == ["a", "b", "c"]
+    with pytest.raises(InputDataError, match="No experiment 'z' among the 3 loaded: a, b, c"):
+        traces["z"]
+
+
+@pytest.mark.parametrize("mark", [";", "\t", "  "])
+def test_that_columns_may_be_divided_in_other_ways(tmp_path: Path, mark: str) -> None:
+    text = "".join(f"{i}{mark}{100 - i}\n" for i in range(8))
+    layout = Layout.from_text("radius=2,radius_unit=um,time=1,time_unit=us")
+    traces = load_traces(written(tmp_path / "x.dat", text), layout=layout)
+    assert traces[0].radius_m[3].item() == pytest.approx(97e-6)
+
+
+def test_that_content_and_not_the_suffix_decides(tmp_path: Path) -> None:
+    assert load_traces(written(tmp_path / "x.mat", HEADER + table("a"))).ids == ("a",)
+
+
+def test_that_frame_numbers_become_seconds(tmp_path: Path) -> None:
+    path = written(tmp_path / "x.csv", "R\n" + "\n".join(["0", "0", *(str(100 - i) for i in range(6))]))
+    traces = load_traces(path, layout=Layout("R", radius_unit="px", pixel_size=2e-6, frame_interval=5e-7))
+    assert traces[0].time_s[0].item() == pytest.approx(1e-6)
+    assert traces[0].radius_m[0].item() == pytest.approx(2e-4)
+
+
+def test_that_a_layout_is_read_from_text() -> None:
+    text = "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=5e-7,max_radius_entries=1+3,separator=-1"
+    layout = Layout.from_text(text)
+    assert layout == Layout(
+        "Rnew", radius_unit="px", pixel_size="deltax", frame_interval=5e-7, max_radius_entries=(1, 3), separator=-1.0
+    )
+    assert layout.names() == ("Rnew", "deltax")
+
+
+def test_that_known_layouts_cannot_be_changed() -> None:
+    with pytest.raises(TypeError):
+        KNOWN_LAYOUTS["experiment_table"] = Layout("x", radius_unit="m", time="t")  # type: ignore[index]
+
+
+def test_that_row_numbers_are_joined_to_ranges() -> None:
+    assert row_ranges([3, 1, 2, 7, 9, 10]) == "1-3, 7, 9-10"
+
+
+def test_that_a_trace_is_float64_whatever_comes_in() -> None:
+    trace = RadiusTrace("a", torch.arange(3, dtype=torch.float32) * 1e-6, torch.full((3,), 1e-4), "memory")
+    assert trace.time_s.dtype == trace.radius_m.dtype == torch.float64
+
+
+def test_that_all_reference_sets_load_with_what_the_laboratory_says(shared: Path) -> None:
+    files = sorted((shared / "data").glob("*.csv"))
+    traces = load_traces(*files)
+    assert len(files) == 18
+    assert len(traces) == 339
+    assert all(t.given.max_radius_m is not None for t in traces)
+    short = {x.experiment_id: x.rows for x in traces.left_out}
+    assert set(short) == {f"histotripsy_gel25_{i}" for i in ("006", "008", "025")}
