@@ -27,6 +27,7 @@ PRIOR_WEIGHT = 3.0
 REVERSAL = 6.0
 MIN_RINGING_SD = 0.10
 MIN_PARTIAL_SD = 0.30
+MIN_STATED_SD = 0.01
 EDGE_SD = 0.01
 EXPOSURE = 0.2
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
@@ -302,6 +303,9 @@ def _rest(
     if came_down and long_enough and scatter / mean < settled_below:
         drift = 0.5 * abs(float(tail[: count // 2].mean() - tail[count // 2 :].mean()))
         return mean, math.hypot(scatter, drift), True, "settled tail"
+    stated, stated_sd = trace.given.rest_radius_m, trace.given.rest_radius_sd_m or 0.0
+    if stated is not None and trace.given.rest_settled:  # measured after the record: better than a bubble that rings
+        return stated, max(stated_sd, MIN_STATED_SD * stated), True, "as given"
     if maxima:
         first, last, method = _last_cycles(time, minima, maxima)
         inside = (time >= first) & (time <= last)
@@ -310,11 +314,8 @@ def _rest(
             mean = float(np.trapezoid(part, at) / (at[-1] - at[0]))
             floor = MIN_RINGING_SD if method == "last cycles" else MIN_PARTIAL_SD
             return mean, max(floor * mean, float(part.std())), False, method
-    if trace.given.rest_radius_m is not None:
-        stated, sd = trace.given.rest_radius_m, trace.given.rest_radius_sd_m
-        settled = bool(trace.given.rest_settled)
-        floor = (0.01 if settled else MIN_RINGING_SD) * stated
-        return stated, max(sd or 0.0, floor), settled, "as given"
+    if stated is not None:
+        return stated, max(stated_sd, MIN_RINGING_SD * stated), False, "as given"
     return None, None, False, "not in record"
 
 

@@ -1,0 +1,101 @@
+"""The tree is the data flow: a stage imports itself, earlier stages and the base modules, and nothing else of the package."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import imr_torch
+
+PACKAGE = Path(imr_torch.__file__).parent
+STAGES = ("material", "simulate", "observe", "assimilate", "select", "design", "campaign", "gap")
+BASE = ("errors", "units", "random", "files", "types")
+
+
+def imported(source: str, module: tuple[str, ...], is_package: bool) -> list[tuple[int, str]]:
+    """Line and first component below ``imr_torch`` of every import of the package, at any depth of the source.
+
+    ``from imr_torch import x`` counts as ``x``, ``import imr_torch`` as ``"*"`` (it can reach anything).
+    """
+    here = module if is_package else module[:-1]
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            paths = [alias.name.split(".") for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            start = [] if node.level == 0 else ["imr_torch", *here[: len(here) - node.level + 1]]
+            stem = start + (node.module.split(".") if node.module else [])
+            paths = [[*stem, alias.name] for alias in node.names]
+        else:
+            continue
+        found += [(node.lineno, path[1] if len(path) > 1 else "*") for path in paths if path[0] == "imr_torch"]
+    return found
+
+
+def violations(source: str, module: tuple[str, ...], is_package: bool = False) -> list[str]:
+    """Imports of a module (path below ``imr_torch``) that its place in the data flow forbids."""
+    place = module[0] if module else ""
+    if place in STAGES:
+        allowed = (*STAGES[: STAGES.index(place) + 1], *BASE)
+    elif place in BASE:
+        allowed = BASE
+    else:
+        return []
+    name = ".".join(module)
+    return [f"{name}:{line} imports {what}" for line, what in imported(source, module, is_package) if what not in allowed]
+
+
+def modules() -> list[tuple[Path, tuple[str, ...], bool]]:
+    found = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        is_package = parts[-1] == "__init__"
+        found.append((path, parts[:-1] if is_package else parts, is_package))
+    return found
+
+
+@pytest.mark.parametrize(("path", "module", "is_package"), [pytest.param(*m, id=".".join(m[1]) or "imr_torch") for m in modules()])
+def test_that_a_module_imports_only_what_comes_before_it(path: Path, module: tuple[str, ...], is_package: bool) -> None:
+    assert violations(path.read_text(), module, is_package) == []
+
+
+def test_that_the_stages_that_exist_were_looked_at() -> None:
+    seen = {module[0] for _, module, _ in modules() if module}
+    assert {"material", "simulate", "observe", "assimilate", "select", "errors", "units", "random", "files"} <= seen
+    reads = sum(bool(imported(path.read_text(), module, package)) for path, module, package in modules())
+    assert reads > 20
+
+
+@pytest.mark.parametrize(
+    ("source", "module", "culprit"),
+    [
+        ("from imr_torch.observe import Noise", ("simulate", "wall"), "observe"),
+        ("from imr_torch import campaign", ("design", "space"), "campaign"),
+        ("import imr_torch.select.evidence as e", ("assimilate", "fit"), "select"),
+        ("import imr_torch", ("material", "terms"), "*"),
+        ("from imr_torch import Belief", ("material", "terms"), "Belief"),
+        ("def f():\n    from imr_torch.plot import plot_fit", ("observe", "load"), "plot"),
+        ("from ..observe import Noise", ("simulate", "wall"), "observe"),
+        ("from .. import observe", ("simulate", "wall"), "observe"),
+        ("from .material import Belief", ("errors",), "material"),
+        ("from imr_torch.cli import main", ("files",), "cli"),
+        ("if True:\n    import imr_torch.gap", ("campaign", "loop"), "gap"),
+    ],
+)
+def test_that_the_checker_finds_an_import_against_the_flow(source: str, module: tuple[str, ...], culprit: str) -> None:
+    (message,) = violations(source, module)
+    assert message.endswith(f"imports {culprit}")
+
+
+@pytest.mark.parametrize(
+    ("source", "module", "is_package"),
+    [
+        ("from imr_torch.material import Belief\nimport torch\nfrom .wall import x", ("simulate", "clock"), False),
+        ("from . import wall\nfrom ..errors import ImrError", ("simulate",), True),
+        ("from imr_torch.errors import ImrError", ("random",), False),
+        ("from imr_torch.gap import Gap\nimport imr_torch", ("cli", "common"), False),
+        ("from imr_torch_extras import thing", ("material", "terms"), False),
+    ],
+)
+def test_that_the_checker_is_silent_on_the_flow(source: str, module: tuple[str, ...], is_package: bool) -> None:
+    assert violations(source, module, is_package) == []
