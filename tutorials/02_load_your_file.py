@@ -53,9 +53,7 @@ print("first collapse at", f"{1e6 * marks.collapse_times_s[0]:.1f} us")
 time_us = np.arange(0.0, 200.0, 2.0)
 radius_px = 100.0 * np.abs(np.cos(time_us / 30.0)) * np.exp(-time_us / 80.0) + 20.0
 savemat(OUT / "mine.mat", {"Rpix": radius_px, "frames": np.arange(len(time_us)), "scale": 2.5e-6, "dt": 2e-6})
-layout = Layout(
-    "Rpix", radius_unit="px", time="frames", time_unit="frames", frame_interval="dt", pixel_size="scale"
-)
+layout = Layout("Rpix", radius_unit="px", time="frames", time_unit="frames", frame_interval="dt", pixel_size="scale")
 print(load_traces(OUT / "mine.mat", layout=layout).report())
 print("known layouts:", ", ".join(KNOWN_LAYOUTS))
 

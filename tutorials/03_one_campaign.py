@@ -52,7 +52,9 @@ for number in range(len(campaign.experiments) + 1, (1 if SMOKE else 2) + 1):
     print("  models:", {k: round(v, 4) for k, v in step.belief.probabilities.items()})
     part = step.belief["gen_qkv"]
     for name, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
-        print(f"  {name:6s} error {100 * (mean / case.truth[name] - 1):+.2f} %, posterior sd {100 * sd / case.truth[name]:.2f} %")
+        print(
+            f"  {name:6s} error {100 * (mean / case.truth[name] - 1):+.2f} %, posterior sd {100 * sd / case.truth[name]:.2f} %"
+        )
 
 # %% [markdown]
 # ## Look, and resume

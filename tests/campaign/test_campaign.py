@@ -1,0 +1,144 @@
+"""A campaign remembers: however it is cut off, resuming ends in the same journal, byte for byte."""
+
+import json
+import shutil
+
+import pytest
+import torch
+
+from imr_torch.assimilate import EnsembleOptions
+from imr_torch.campaign import Campaign, CampaignSettings, Journal
+from imr_torch.design import Plan
+from imr_torch.errors import InputDataError
+from imr_torch.material import PARAMETERS, Belief, reference_case
+from imr_torch.observe import Experiment, Nuisance, SimulatedLaboratory
+from imr_torch.random import child
+from imr_torch.simulate import PolytropicSimulator, Stepping
+
+CASE = reference_case("soft-pa")
+SIMULATOR = PolytropicSimulator(stepping=Stepping(0.25))
+TIMES = torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
+SETTINGS = CampaignSettings(
+    plan=Plan(times=TIMES, repeats=20),
+    draws=3,
+    evaluations=5,
+    initial=4,
+    evidence_samples=32,
+    ensemble=EnsembleOptions(members=8, scouts=24, starts=2),
+)
+LABORATORY = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(CASE.truth), repeats=20, times=TIMES)
+
+
+def shoot(design, number):
+    return LABORATORY.shoot(design, seed=child(0, "shoot", number))
+
+
+def campaign(folder, **changes):
+    arguments = {"settings": SETTINGS, "seed": 0, "note": {"case": "test"}} | changes
+    return Campaign(folder, arguments.pop("prior", CASE.prior), SIMULATOR, **arguments)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("campaign") / "whole"
+    run = campaign(folder)
+    run.run(shoot, 2)
+    return run
+
+
+def test_the_belief_closes_in_on_the_truth(finished):
+    assert [step.number for step in finished.steps] == [1, 2]
+    part = finished.belief["nhkv"]
+    assert finished.belief.probabilities["nhkv"] > 0.99
+    for name, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
+        assert abs(mean - CASE.truth[name]) < 4.0 * sd
+        assert sd < 0.05 * CASE.truth[name]
+
+
+def test_the_journal_holds_what_was_asked_measured_and_concluded(finished):
+    kinds = [event["event"] for event in Journal(finished.journal.folder).events]
+    assert kinds == ["start", "ask", "experiment", "belief", "ask", "experiment", "belief"]
+    asked = finished.journal.find("ask", 1)
+    assert len(asked["evaluations"]) == SETTINGS.evaluations
+    assert asked["design"] == pytest.approx(list(finished.experiments[0].design))
+    assert {"nhkv", "gen_qkv"} == set(finished.journal.find("belief", 2)["certificates"])
+
+
+@pytest.mark.parametrize("events", [1, 2, 3, 5, 6, 7], ids=lambda n: f"cut after event {n}")
+def test_resuming_gives_the_uninterrupted_journal_byte_for_byte(finished, tmp_path, events):
+    lines = finished.journal.path.read_bytes().splitlines(keepends=True)
+    shutil.copytree(finished.journal.folder, tmp_path / "cut")
+    torn = lines[events][: len(lines[events]) // 2] if events < len(lines) else b""
+    (tmp_path / "cut" / "journal.jsonl").write_bytes(b"".join(lines[:events]) + torn)
+    resumed = campaign(tmp_path / "cut")
+    resumed.run(shoot, 2)
+    assert resumed.journal.path.read_bytes() == b"".join(lines)
+    assert resumed.belief.to_dict() == finished.belief.to_dict()
+
+
+def test_the_search_is_rebuilt_from_the_journal(finished):
+    search = campaign(finished.journal.folder).search(2)
+    assert search is not None
+    again = search.optimizer.recommend()
+    assert torch.equal(again.design, search.recommendation.design)
+    assert again.mean == search.recommendation.mean
+    assert finished.search(3) is None
+
+
+def test_a_journal_of_another_campaign_is_refused_and_says_what_differs(finished):
+    with pytest.raises(InputDataError, match="journal of another campaign: seed differ"):
+        campaign(finished.journal.folder, seed=1)
+    with pytest.raises(InputDataError, match="prior, note differ"):
+        campaign(finished.journal.folder, prior=reference_case("stiff-pa").prior, note={})
+
+
+def test_a_changed_line_in_the_middle_is_refused(finished, tmp_path):
+    shutil.copytree(finished.journal.folder, tmp_path / "bad")
+    path = tmp_path / "bad" / "journal.jsonl"
+    lines = path.read_text().splitlines(keepends=True)
+    lines[2] = lines[2][:-10] + "\n"
+    path.write_text("".join(lines))
+    with pytest.raises(InputDataError, match=r"journal.jsonl, line 3: not a journal entry"):
+        campaign(tmp_path / "bad")
+
+
+def test_a_changed_or_missing_curve_file_is_refused(finished, tmp_path):
+    shutil.copytree(finished.journal.folder, tmp_path / "bad")
+    curves = tmp_path / "bad" / "experiment_001.npz"
+    curves.write_bytes(curves.read_bytes()[:-1] + b"x")
+    with pytest.raises(InputDataError, match="not the one the journal recorded"):
+        campaign(tmp_path / "bad")
+    curves.unlink()
+    with pytest.raises(InputDataError, match="names this file and it is missing"):
+        campaign(tmp_path / "bad")
+
+
+def test_a_stored_experiment_comes_back_bit_for_bit(tmp_path):
+    times = torch.linspace(0.0, 1.0, 5, dtype=torch.float64)
+    radius = torch.rand(3, 5, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    experiment = Experiment("odd / name", (301.7, 0.2131), times, radius, Nuisance(0.01, 0.002, 0.03))
+    journal = Journal(tmp_path)
+    record = json.loads(json.dumps(journal.store(experiment, "one")))
+    back = journal.restore(record)
+    assert torch.equal(back.radius, radius)
+    assert torch.equal(back.times, times)
+    assert (back.label, back.design, back.nuisance) == (experiment.label, experiment.design, experiment.nuisance)
+
+
+def test_the_achieved_design_is_what_is_learnt_from(tmp_path):
+    wide = SimulatedLaboratory(SIMULATOR, LABORATORY.truth, repeats=20, times=TIMES, scatter=(0.2, 0.1))
+    asked = torch.tensor([400.0, 0.2], dtype=torch.float64)
+    experiment = wide.shoot(asked, seed=5)
+    assert abs(experiment.design[0] / 400.0 - 1.0) > 0.02
+    run = campaign(
+        tmp_path / "achieved", prior=Belief.prior({"nhkv": dict(zip(["G", "mu"], CASE.prior["nhkv"].marginals, strict=True))})
+    )
+    step = run.tell(experiment)
+    part = step.belief["nhkv"]
+    for name, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
+        assert abs(mean - CASE.truth[name]) < 4.0 * sd
+
+
+def test_telling_nothing_is_refused(tmp_path):
+    with pytest.raises(InputDataError, match="at least one experiment"):
+        campaign(tmp_path / "none").tell()

@@ -1,0 +1,106 @@
+import pytest
+import torch
+
+from imr_torch.design import DesignOptimizer, DesignSpace
+from imr_torch.errors import InputDataError, ShapeError
+
+SPACE = DesignSpace()
+PEAK = torch.tensor([700.0, 0.2], dtype=torch.float64)
+
+
+def utility(X):
+    scaled = (X - PEAK) / (SPACE.bounds[1] - SPACE.bounds[0])
+    return 5.0 - 8.0 * scaled.square().sum(-1, keepdim=True)
+
+
+def run(acquisition, evaluations, *, seed=0, sd=0.05):
+    noise = torch.Generator().manual_seed(seed)
+    optimizer = DesignOptimizer(SPACE, seed=seed, initial=5, acquisition=acquisition)
+    while len(optimizer.train_X) < evaluations:
+        X = optimizer.ask()
+        Y = utility(X) + sd * torch.randn(len(X), 1, generator=noise, dtype=torch.float64)
+        optimizer.tell(X, Y, torch.full_like(Y, sd**2))
+    return optimizer
+
+
+@pytest.mark.parametrize("acquisition", ["qLogNEI", "qEI"])
+def test_the_recommendation_finds_the_maximum_of_a_noisy_utility(acquisition):
+    best = run(acquisition, 12).recommend()
+    assert float(utility(best.design[None])) > 4.9
+    assert abs(best.mean - float(utility(best.design[None]))) < 5.0 * best.sd + 0.02
+
+
+def test_the_recommendation_is_not_the_best_noisy_value():
+    optimizer = run("qLogNEI", 8)
+    lucky = torch.tensor([[150.0, 0.29]], dtype=torch.float64)
+    poor = torch.full((1, 1), float(utility(lucky)), dtype=torch.float64)
+    for shift in (-1.0, 1.0, 6.0, -6.0):  # one lucky value among unlucky ones at a poor design
+        optimizer.tell(lucky, poor + shift, torch.full((1, 1), 20.0, dtype=torch.float64))
+    assert float(optimizer.train_Y.max()) > 4.0
+    assert float((optimizer.recommend().design - PEAK).abs()[1]) < 0.05
+
+
+def test_the_same_tells_give_the_same_asks_whatever_the_global_generator_does():
+    first = run("qLogNEI", 7, seed=3).ask(2)
+    torch.manual_seed(1234)
+    second = run("qLogNEI", 7, seed=3).ask(2)
+    assert torch.equal(first, second)
+    assert first.shape == (2, 2)
+    assert not torch.equal(first, run("qLogNEI", 7, seed=4).ask(2))
+
+
+def test_asking_leaves_the_global_generator_alone():
+    optimizer = run("qLogNEI", 6)
+    torch.manual_seed(5)
+    before = torch.get_rng_state()
+    optimizer.ask()
+    optimizer.recommend()
+    assert torch.equal(before, torch.get_rng_state())
+
+
+def test_initial_asks_fill_the_space_and_do_not_repeat():
+    optimizer = DesignOptimizer(SPACE, seed=0, initial=6)
+    first = optimizer.ask(4)
+    value = utility(first)
+    optimizer.tell(first, value, torch.full_like(value, 0.01))
+    more = optimizer.ask(2)
+    every = torch.cat((first, more))
+    SPACE.check(every)
+    assert len({tuple(row) for row in every.tolist()}) == 6
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"Y": float("nan")}, r"Y\[0\] is nan at design \[300.0, 0.2\]; expected a finite number"),
+        ({"Yvar": float("inf")}, r"Yvar\[0\] is inf at design .*expected a finite positive variance"),
+        ({"Yvar": 0.0}, r"Yvar\[0\] is 0.0 at design .*expected a finite positive variance"),
+        ({"X": [30.0, 0.2]}, r"\(30, 0.2\) is outside We \[100.0, 1000.0\], R_inf\* \[0.14, 0.3\]; shoot inside"),
+        ({"X": [300.0, float("nan")]}, r"\(300, nan\) is outside We"),
+    ],
+)
+def test_a_bad_tell_is_refused_and_nothing_is_recorded(changes, message):
+    optimizer = DesignOptimizer(SPACE, seed=0)
+    values = {"X": [300.0, 0.2], "Y": 1.0, "Yvar": 0.1} | changes
+    with pytest.raises(InputDataError, match=message):
+        optimizer.tell(*(torch.tensor(v, dtype=torch.float64).reshape(1, -1) for v in values.values()))
+    assert len(optimizer.train_X) == len(optimizer.train_Y) == 0
+
+
+def test_wrong_shapes_and_names_are_refused():
+    optimizer = DesignOptimizer(SPACE, seed=0)
+    one = torch.ones(1, 1, dtype=torch.float64)
+    with pytest.raises(ShapeError, match=r"X has shape \(1, 1\); expected \.\.\. x 2"):
+        optimizer.tell(one, one, one)
+    with pytest.raises(InputDataError, match="tell expects X n x 2, Y n x 1"):
+        optimizer.tell(PEAK[None], one[0], one)
+    with pytest.raises(InputDataError, match="expected 'qLogNEI' or 'qEI'"):
+        DesignOptimizer(SPACE, seed=0, acquisition="thompson")  # type: ignore[arg-type]
+    with pytest.raises(InputDataError, match="at least 2 told designs"):
+        optimizer.recommend()
+
+
+@pytest.mark.parametrize("bad", [{"weber": (500.0, 100.0)}, {"weber": (0.0, 100.0)}, {"rest_radius": (0.2, 1.5)}])
+def test_an_impossible_space_is_refused(bad):
+    with pytest.raises(InputDataError, match="expected 0 < lower < upper"):
+        DesignSpace(**bad)

@@ -1,0 +1,173 @@
+"""The command line as a user meets it: results, JSON, figures, and messages that say what to do."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+import torch
+
+from imr_torch.cli import COMMANDS, main
+from imr_torch.material import reference_case
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "tutorials" / "data" / "example_gel.csv"
+TRUTH = {"G": 8310.0, "mu": 0.093}
+
+
+@pytest.fixture(autouse=True)
+def keep_threads():
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("command", [c.NAME for c in COMMANDS])
+def test_help_teaches_with_an_example(command, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([command, "--help"])
+    assert stop.value.code == 0
+    assert f"imr-torch {command} " in capsys.readouterr().out.split("options:")[0].split("\n\n", 1)[1]
+
+
+def test_simulate_writes_the_curve_and_a_figure(tmp_path, capsys):
+    out = tmp_path / "bubble"
+    gel = ["--set", "G=8310,mu=0.093"]
+    assert main(["simulate", *gel, "--we", "300", "--rinf", "0.2", "--out", str(out), "--frames", "41"]) == 0
+    result = json.loads((out / "simulate.json").read_text())
+    assert len(result["R_star"]) == len(result["time_s"]) == 41
+    assert result["R_star"][0] == 1.0
+    assert 0.0 < min(result["R_star"]) < 0.2
+    assert result["design"]["Rmax_m"] == pytest.approx(300 * 2 * 0.056 / 101325)
+    assert (out / "radius.png").stat().st_size > 5000
+    assert "NHKV, Rmax 331.6 um" in capsys.readouterr().out
+
+
+def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys):
+    out = tmp_path / "result"
+    arguments = ["characterize", str(EXAMPLE), "--models", "newtonian,nhkv", "--quiet", "--out", str(out)]
+    assert main([*arguments, "--experiments", "shot_1,shot_3"]) == 0
+    result = json.loads((out / "characterize.json").read_text())
+    assert result["model_probabilities"]["nhkv"] > 0.99
+    assert [e["id"] for e in result["experiments"]] == ["shot_1", "shot_3"]
+    fit = result["models"]["nhkv"]
+    assert fit["certificate"]["converged"]
+    assert fit["rmse"] == pytest.approx(0.003, rel=0.2)
+    for name, (low, middle, high) in fit["intervals"].items():
+        assert low < TRUTH[name] < high
+        assert middle == pytest.approx(TRUTH[name], rel=0.1)
+    figures = {path.name for path in out.glob("*.png")}
+    assert figures == {"curve_shot_1.png", "curve_shot_3.png", "parameter_G.png", "parameter_mu.png", "models.png"}
+    assert "4 curve(s)" not in (out / "report.txt").read_text()
+    assert "converged" in capsys.readouterr().out
+
+
+def test_design_recommends_inside_the_space_and_draws_its_map(tmp_path):
+    out = tmp_path / "next"
+    options = ["--evaluations", "5", "--draws", "4", "--we-range", "200:400", "--policy", "qEI"]
+    assert main(["design", "--case", "soft-pa", *options, "--quiet", "--out", str(out)]) == 0
+    result = json.loads((out / "design.json").read_text())
+    assert 200.0 <= result["design"]["We"] <= 400.0
+    assert len(result["evaluations"]) == 5
+    assert all(row["sd"] > 0 and row["eig"] > 0 for row in result["evaluations"])
+    assert (out / "information.png").stat().st_size > 5000
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    out = tmp_path_factory.mktemp("cli") / "demo"
+    arguments = ["campaign", "--case", "soft-pa", "--designs", "1", "--evaluations", "4", "--quiet", "--out", str(out)]
+    assert main(arguments) == 0
+    return arguments, out
+
+
+def test_campaign_reports_designs_errors_probabilities_intervals_and_cost(simulated):
+    _, out = simulated
+    result = json.loads((out / "campaign.json").read_text())
+    assert len(result["designs"]) == 1
+    assert set(result["relative_error"]) == {"G", "mu"}
+    assert all(error < 0.03 for error in result["relative_error"].values())
+    assert result["model_probabilities"]["nhkv"] > 0.99
+    low, _, high = result["intervals"]["nhkv"]["G"]
+    assert low < high < 1e5
+    assert result["cpu_seconds"] > 0
+    assert {"information_001.png", "curve_001.png", "models.png", "parameter_G.png"} <= {p.name for p in out.glob("*.png")}
+
+
+def test_campaign_does_not_overwrite_and_resumes(simulated, capsys):
+    arguments, out = simulated
+    before = (out / "campaign.json").read_text()
+    assert main(arguments) == 2
+    assert "give --resume to continue it, or another --out" in capsys.readouterr().err
+    assert main([*arguments, "--resume"]) == 0
+    after, first = json.loads((out / "campaign.json").read_text()), json.loads(before)
+    assert after["belief"] == first["belief"]
+    assert after["designs"] == first["designs"]
+
+
+def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, capsys):
+    out = tmp_path / "gel"
+    base = ["campaign", "--models", "nhkv", "--evaluations", "4", "--repeats", "1", "--quiet", "--out", str(out)]
+    assert main(base) == 0
+    first = capsys.readouterr().out
+    assert "Shoot next: We = " in first
+    shot = tmp_path / "shot.csv"
+    lines = EXAMPLE.read_text().splitlines(keepends=True)
+    shot.write_text(lines[0] + "".join(line for line in lines if line.startswith("shot_2")))
+    rest = ["--rest-radius", "0.21:0.005"]
+    assert main([*base, *rest, "--resume", "--tell", str(shot)]) == 0
+    second = capsys.readouterr().out
+    assert "1 curve(s)" in second
+    assert "Shoot next: We = " in second
+    result = json.loads((out / "campaign.json").read_text())
+    assert len(result["designs"]) == 1
+    low, _, high = result["intervals"]["nhkv"]["G"]
+    assert low < TRUTH["G"] < high
+
+
+def test_a_saved_belief_is_the_prior_of_the_next_design(tmp_path):
+    saved = tmp_path / "belief.json"
+    reference_case("soft-pa").prior.save(saved)
+    shared = ["--evaluations", "3", "--draws", "3", "--quiet", "--json"]
+    assert main(["design", "--belief", str(saved), *shared, str(tmp_path / "a.json")]) == 0
+    assert main(["design", "--case", "soft-pa", *shared, str(tmp_path / "b.json")]) == 0
+    assert json.loads((tmp_path / "a.json").read_text()) == json.loads((tmp_path / "b.json").read_text())
+
+
+TABLE = "experiment_id,time_s,radius_m\n"
+CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i in range(40))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["characterize", "nowhere.csv"], r"nowhere\.csv.*(not found|does not exist|no such file)"),
+        (["characterize", "{file}", "--models", "maxwell9"], "Unknown model 'maxwell9'; known are newtonian, nhe, nhkv"),
+        (["characterize", "{file}", "--models", "qkv"], r"takes \['G'\] as known; give its value in SI units"),
+        (["characterize", "{file}", "--experiments", "b"], "No experiment 'b' among the 1 loaded: a"),
+        (
+            ["characterize", "{file}", "--rest-radius", "1.2:0.1"],
+            "R_inf/Rmax is 1.200 .*expected a rest radius below the maximum",
+        ),
+        (["characterize", "{file}", "--rest-radius", "wide"], "--rest-radius: 'wide' is not VALUE:VALUE, for example 0.2:0.1"),
+        (["characterize", "{file}", "--belief", "{file}"], "not a saved belief"),
+        (["characterize", "{file}", "--known", "G"], "--known: 'G' is not NAME=NUMBER"),
+        (["simulate", "--set", "G=1e4"], "model 'nhkv' has the parameters G, mu; got G"),
+        (["simulate", "--set", "G=-5,mu=0.1"], r"Parameter 'G' is -5 Pa; expected a value in \[0, 1e\+07\] Pa"),
+        (["simulate", "--set", "G=1e4,mu=0.1", "--rinf", "1.0"], r"\(300, 1\): expected We > 0 and 0 < R_inf\* < 1"),
+        (["simulate", "--set", "G=1e4,mu=0.1", "--frames", "1"], "--frames is 1"),
+        (["design", "--case", "soft-pa", "--we-range", "900:100"], r"weber is \(900.0, 100.0\); expected 0 < lower < upper"),
+        (["design", "--case", "soft-pa", "--belief", "x.json"], "--belief and --case both name a prior"),
+        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--designs", "0"], "--designs is 0; expected at least 1"),
+        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--resume"], "holds no journal to resume"),
+        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--tell", "{file}"], "give one of the two"),
+    ],
+    ids=lambda value: "" if isinstance(value, str) else " ".join(value[:1] + value[-2:]),
+)
+def test_bad_input_ends_with_a_message_before_any_work(arguments, message, tmp_path, capsys):
+    file = tmp_path / "good.csv"
+    file.write_text(TABLE + CURVE)
+    names = {"file": file, "folder": tmp_path / "new"}
+    assert main([a.format(**names) for a in arguments]) == 2
+    captured = capsys.readouterr().err
+    assert re.search(message, captured, re.IGNORECASE), captured
+    assert captured.startswith("imr-torch: ")

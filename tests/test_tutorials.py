@@ -1,0 +1,23 @@
+"""Every tutorial runs from top to bottom, in a smoke mode that only makes it small."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+TUTORIALS = sorted((ROOT / "tutorials").glob("[0-9]*.py"))
+
+
+def test_there_are_tutorials():
+    assert len(TUTORIALS) >= 3
+
+
+@pytest.mark.parametrize("path", TUTORIALS, ids=lambda path: path.stem)
+def test_the_tutorial_runs(path):
+    environment = os.environ | {"IMR_TORCH_SMOKE": "1", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run([sys.executable, str(path)], env=environment, cwd=ROOT, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert len(done.stdout) > 200
