@@ -4,7 +4,8 @@ from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment, ExperimentBatch, predict
 from imr_torch.observe.laboratory import SimulatedLaboratory
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
-from imr_torch.observe.load import KNOWN_LAYOUTS, Layout, load_traces
+from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
+from imr_torch.observe.load import load_traces
 from imr_torch.observe.noise import Noise, fit_noise
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.traces import Given, LeftOut, RadiusTrace, TraceSet

@@ -8,16 +8,14 @@ many: all curves of one camera must have the same frame spacing once their dimen
 import itertools
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pymatreader
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe.traces import RawCurve
-
-if TYPE_CHECKING:
-    from imr_torch.observe.load import Layout
+from imr_torch.observe.layout import Layout
+from imr_torch.observe.raw import RawCurve
 
 SPACING_TOLERANCE = 0.01
 COMMON_SPACING_TOLERANCE = 0.002
@@ -121,7 +119,7 @@ def number(file: str, variables: Variables, setting: str, value: str | float | N
     return float(found[0])
 
 
-def curves(path: Path, variables: Variables, layout: "Layout") -> list[RawCurve]:
+def curves(path: Path, variables: Variables, layout: Layout) -> list[RawCurve]:
     """The curves of the file, in the units of the file.
 
     Raises:
@@ -150,7 +148,7 @@ def curves(path: Path, variables: Variables, layout: "Layout") -> list[RawCurve]
 
 
 def max_radii(
-    file: str, variables: Variables, layout: "Layout", raw: list[RawCurve], frame_interval: float | None
+    file: str, variables: Variables, layout: Layout, raw: list[RawCurve], frame_interval: float | None
 ) -> tuple[list[float | None], list[str]]:
     """The maximum radius of each curve, in the unit of the file, and notes on how it was chosen.
 
@@ -182,7 +180,7 @@ def max_radii(
     return [float(found[i]) for i in choice], [note]
 
 
-def _named_entries(file: str, layout: "Layout", found: np.ndarray, n_curves: int) -> np.ndarray:
+def _named_entries(file: str, layout: Layout, found: np.ndarray, n_curves: int) -> np.ndarray:
     named = layout.max_radius_entries or ()
     if len(named) != n_curves or max(named) > len(found):
         raise InputDataError(
@@ -193,7 +191,7 @@ def _named_entries(file: str, layout: "Layout", found: np.ndarray, n_curves: int
 
 
 def _choose(
-    file: str, layout: "Layout", found: np.ndarray, raw: list[RawCurve], frame_interval: float | None
+    file: str, layout: Layout, found: np.ndarray, raw: list[RawCurve], frame_interval: float | None
 ) -> tuple[tuple[int, ...], str]:
     """The one order-preserving choice of entries under which all curves have the same frame spacing."""
     counts = f"{file}: variable '{layout.max_radius}' has {len(found)} entries for {len(raw)} curves"

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe.load import KNOWN_LAYOUTS, Layout, load_traces
+from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
+from imr_torch.observe.load import load_traces
 from imr_torch.observe.traces import Given, RadiusTrace, TraceSet, row_ranges
 
 HEADER = "experiment_id,time_s,radius_m\n"

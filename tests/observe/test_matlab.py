@@ -10,7 +10,8 @@ import scipy.io
 import torch
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe.load import KNOWN_LAYOUTS, Layout, load_traces
+from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
+from imr_torch.observe.load import load_traces
 
 DIMENSIONLESS = KNOWN_LAYOUTS["dimensionless_cells"]
 SCALE = math.sqrt(998.0 / 101325.0)

@@ -1,0 +1,177 @@
+"""What a file means: names, units and scales of its columns or variables, written down once per kind of file.
+
+Dimensionless times are undone with ``t = t* Rmax sqrt(rho / p_inf)`` (Estrada et al., J. Mech. Phys. Solids 112, 2018).
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, fields
+from types import MappingProxyType
+from typing import Any
+
+from imr_torch.errors import InputDataError
+
+LENGTHS = {"m": 1.0, "um": 1e-6, "mm": 1e-3}
+TIMES = {"s": 1.0, "us": 1e-6, "ms": 1e-3}
+RADIUS_UNITS = (*LENGTHS, "px", "dimensionless")
+TIME_UNITS = (*TIMES, "frames", "dimensionless")
+PEAKS = (None, "first_row", "time_zero")
+EXAMPLE = 'Layout("<name>", radius_unit="um", time="<name>", time_unit="us")'
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What the columns of a table, or the variables of a MATLAB file, mean.
+
+    A name is the name of a variable or column; the columns of a table without header are named ``"1"``, ``"2"``, ...
+
+    Args:
+        radius: name of the radius (in MATLAB a vector, or a cell array of vectors: one for each curve).
+        radius_unit: one of m, um, mm, px, dimensionless (R/Rmax).
+        time: name of the time, or None: frames counted from 0.
+        time_unit: one of s, us, ms, frames, dimensionless; ignored without ``time``.
+        experiment: name of a column that tells the curves of a table apart.
+        frame_interval: seconds between frames, or a variable that holds it.
+        pixel_size: metres per pixel, or a variable that holds it.
+        max_radius: maximum radius of each curve: a number, or a variable.
+        max_radius_unit: m, um or mm.
+        max_radius_entries: which entries of ``max_radius`` belong to the curves, counted from 1.
+        rest_radius: variable with the equilibrium radius (one, or one for each curve).
+        rest_radius_unit: one of the radius units.
+        density: kg/m^3, used by the source to make time dimensionless.
+        far_field_pressure: Pa, used by the source to make time dimensionless.
+        inserted_peak: where the source inserted a fitted peak that is no camera frame: None, "first_row", "time_zero".
+        separator: number that fills the rows between curves of a table.
+
+    Raises:
+        InputDataError: if a unit is unknown, a number is not positive, or a scale that the units need is missing.
+    """
+
+    radius: str
+    _: KW_ONLY
+    radius_unit: str
+    time: str | None = None
+    time_unit: str = "s"
+    experiment: str | None = None
+    frame_interval: float | str | None = None
+    pixel_size: float | str | None = None
+    max_radius: float | str | None = None
+    max_radius_unit: str = "m"
+    max_radius_entries: tuple[int, ...] | None = None
+    rest_radius: str | None = None
+    rest_radius_unit: str = "m"
+    density: float = 998.0
+    far_field_pressure: float = 101325.0
+    inserted_peak: str | None = None
+    separator: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, allowed in (
+            ("radius_unit", RADIUS_UNITS),
+            ("time_unit", TIME_UNITS),
+            ("max_radius_unit", tuple(LENGTHS)),
+            ("rest_radius_unit", RADIUS_UNITS),
+            ("inserted_peak", PEAKS),
+        ):
+            if getattr(self, name) not in allowed:
+                listed = ", ".join(map(str, allowed))
+                raise InputDataError(f"Layout.{name} is '{getattr(self, name)}'; choose one of: {listed}.")
+        for name in ("frame_interval", "pixel_size", "max_radius", "density", "far_field_pressure"):
+            value = getattr(self, name)
+            if isinstance(value, (int, float)) and not 0.0 < value < math.inf:
+                raise InputDataError(f"Layout.{name} is {value}; expected a positive number in SI units.")
+        if self.max_radius_entries is not None and (not self.max_radius_entries or min(self.max_radius_entries) < 1):
+            raise InputDataError(f"Layout.max_radius_entries is {self.max_radius_entries}; entries are counted from 1.")
+        self._check_scales()
+
+    def _check_scales(self) -> None:
+        if self.time is None and self.frame_interval is None:
+            raise InputDataError(
+                "The layout names no time and no frame_interval; set time='<name>', or frame_interval=<seconds between frames>."
+            )
+        if self.time_unit == "frames" and self.frame_interval is None:
+            raise InputDataError("Layout.time_unit is 'frames'; set frame_interval=<seconds between frames>.")
+        if "px" in (self.radius_unit, self.rest_radius_unit) and self.pixel_size is None:
+            raise InputDataError(
+                "Layout.radius_unit is 'px'; set pixel_size=<metres per pixel>, or the variable that holds it."
+            )
+        if "dimensionless" in (self.radius_unit, self.time_unit, self.rest_radius_unit) and self.max_radius is None:
+            raise InputDataError(
+                "The layout has a 'dimensionless' unit; set max_radius=<metres>, or the variable that holds it."
+            )
+
+    @property
+    def time_per_length(self) -> float:
+        """``sqrt(rho / p_inf)`` in s/m: dimensionless time times ``Rmax`` times this is seconds."""
+        return math.sqrt(self.density / self.far_field_pressure)
+
+    def length_factor(self, unit: str, pixel_size: float | None = None, max_radius_m: float | None = None) -> float:
+        """Metres per ``unit``."""
+        factor = {**LENGTHS, "px": pixel_size, "dimensionless": max_radius_m}[unit]
+        assert factor is not None
+        return factor
+
+    def names(self) -> tuple[str, ...]:
+        """The variables or columns that the layout asks for."""
+        named = ("radius", "time", "experiment", "frame_interval", "pixel_size", "max_radius", "rest_radius")
+        return tuple(value for value in (getattr(self, name) for name in named) if isinstance(value, str))
+
+    @classmethod
+    def from_text(cls, text: str) -> "Layout":
+        """Read the form of the command line, ``"radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat"``.
+
+        The entries of ``max_radius_entries`` are joined by ``+``: ``max_radius_entries=1+2+4``.
+
+        Raises:
+            InputDataError: if a setting is unknown, repeated, has no value or a wrong one, or the radius is missing.
+        """
+        known = [field.name for field in fields(cls)]
+        settings: dict[str, Any] = {}
+        for part in filter(None, (p.strip() for p in text.split(","))):
+            name, equals, value = (x.strip() for x in part.partition("="))
+            if not equals or not value or name not in known or name in settings:
+                raise InputDataError(
+                    f"Layout text: cannot use '{part}'; write name=value once, with a name among {', '.join(known)}."
+                )
+            settings[name] = _setting(name, value)
+        for needed in ("radius", "radius_unit"):
+            if needed not in settings:
+                raise InputDataError(f"Layout text '{text}' has no {needed}; write radius=<name>,radius_unit=um,...")
+        return cls(**settings)
+
+
+def _setting(name: str, value: str) -> Any:
+    if value.lower() == "none":
+        return None
+    try:
+        if name == "max_radius_entries":
+            return tuple(int(x) for x in value.split("+"))
+        if name in ("density", "far_field_pressure", "separator"):
+            return float(value)
+    except ValueError:
+        raise InputDataError(f"Layout text: {name} is '{value}'; expected a number (entries as 1+2+4).") from None
+    if name in ("frame_interval", "pixel_size", "max_radius"):
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return value
+
+
+KNOWN_LAYOUTS: Mapping[str, Layout] = MappingProxyType(
+    {
+        "experiment_table": Layout("radius_m", radius_unit="m", time="time_s", experiment="experiment_id"),
+        "separated_table": Layout("2", radius_unit="um", time="1", time_unit="us", separator=-1000.0),
+        "dimensionless_cells": Layout(
+            "R_nondim_All",
+            radius_unit="dimensionless",
+            time="t_nondim_All",
+            time_unit="dimensionless",
+            max_radius="RmaxList",
+            inserted_peak="time_zero",
+        ),
+        "fitted_peak_first": Layout("Rnew", radius_unit="m", time="t", max_radius="RmaxAll", inserted_peak="first_row"),
+        "pixels_by_frame": Layout("Rnew", radius_unit="px", pixel_size="deltax", frame_interval="deltat"),
+        "micrometres_with_rest": Layout("R", radius_unit="um", time="t", rest_radius="Req", rest_radius_unit="um"),
+    }
+)
