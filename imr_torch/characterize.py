@@ -34,6 +34,7 @@ from imr_torch.simulate import PolytropicSimulator, Simulator
 LEVELS = (0.05, 0.5, 0.95)
 _NOISE_ROUNDS = 2
 _MIN_FRAMES = 5
+_CURVES_LISTED = 10
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,7 @@ class Characterization:
             models[fit.model] = {
                 "intervals": intervals(fit.posterior),
                 "rmse": self.assimilation.rmse(fit.model),
+                "rmse_by_experiment": self.assimilation.rmse_by_experiment(fit.model),
                 "log_evidence": evidence.value,
                 "log_evidence_error": evidence.error,
                 "effective_samples": evidence.effective_samples,
@@ -100,6 +102,10 @@ class Characterization:
                 unit = parameter.display_unit or ("" if parameter.unit == "1" else parameter.unit)
                 lines.append(f"  {parameter.name:6s} {middle:10.4g} {unit:5s} (90 %: {low:.4g} to {high:.4g})")
             lines.append(f"  {fit.certificate}")
+        if len(self.experiments) > 1:
+            worst = sorted(self.assimilation.rmse_by_experiment(order[0].model).items(), key=lambda item: -item[1])
+            lines.append(f"\nRMSE of each curve under {order[0].prior.material.title}, largest first:")
+            lines += [f"  {label}: {value:.4f}" for label, value in worst[:_CURVES_LISTED]]
         return "\n".join(lines)
 
 

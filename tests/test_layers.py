@@ -54,7 +54,9 @@ def modules() -> list[tuple[Path, tuple[str, ...], bool]]:
     return found
 
 
-@pytest.mark.parametrize(("path", "module", "is_package"), [pytest.param(*m, id=".".join(m[1]) or "imr_torch") for m in modules()])
+@pytest.mark.parametrize(
+    ("path", "module", "is_package"), [pytest.param(*m, id=".".join(m[1]) or "imr_torch") for m in modules()]
+)
 def test_that_a_module_imports_only_what_comes_before_it(path: Path, module: tuple[str, ...], is_package: bool) -> None:
     assert violations(path.read_text(), module, is_package) == []
 

@@ -107,3 +107,9 @@ class Assimilation:
         """Root mean square residual of the mean curves in R*, over all frames in the window."""
         residual = (self.batch.mean - self[model].prediction)[self.batch.mask]
         return float(residual.square().mean().sqrt())
+
+    def rmse_by_experiment(self, model: str) -> dict[str, float]:
+        """The same for each experiment: one that stands out is of another gel, or wrongly scaled."""
+        square = torch.where(self.batch.mask, self.batch.mean - self[model].prediction, 0.0).square().sum(1)
+        values = (square / self.batch.mask.sum(1)).sqrt().tolist()
+        return {e.label: value for e, value in zip(self.batch.experiments, values, strict=True)}

@@ -5,14 +5,22 @@
 
 CSV files have the columns experiment_id, time_s, radius_m (a JSON file of the same name beside it may give R_inf);
 MATLAB files of known layouts are recognised, others need --layout. All curves are taken to be of one gel and are fitted
-together. A report says which rows were left out and why.
+together; --each fits every curve by itself, which shows whether they agree. A report says which rows were left out and why.
 """
 
 import argparse
 from pathlib import Path
 
 from imr_torch.characterize import Characterization, characterize, predictive_band
-from imr_torch.cli.common import add_prior_arguments, parse_pair, prior_of, progress_of, save_figure, write_result
+from imr_torch.cli.common import (
+    add_prior_arguments,
+    file_name,
+    parse_pair,
+    prior_of,
+    progress_of,
+    save_figure,
+    write_result,
+)
 from imr_torch.material import Belief
 from imr_torch.observe import Layout, TraceSet, load_traces
 from imr_torch.plot import plot_experiment, plot_parameter, plot_probabilities
@@ -27,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("files", nargs="+", metavar="FILE", help="CSV, text or MATLAB files")
     parser.add_argument("--layout", metavar="TEXT", help="how to read the files: name=value pairs, see the tutorial 02")
     parser.add_argument("--experiments", metavar="ID,...", help="fit only these experiments")
+    parser.add_argument("--each", action="store_true", help="fit every curve by itself instead of all together")
     parser.add_argument("--collapses", type=int, default=2, help="collapses in the fitted window (default 2)")
     parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for records without a tail")
     parser.add_argument(
@@ -45,6 +54,19 @@ def run(args: argparse.Namespace) -> None:
     if args.experiments:
         traces = traces.select([name.strip() for name in args.experiments.split(",")])
     print(traces.report())
+    if not args.each:
+        write_result(args, _characterize(traces, args, Path(args.out) if args.out else None).to_dict())
+        return
+    results = {}
+    for trace in traces:
+        print(f"\n--- {trace.experiment_id}")
+        folder = Path(args.out) / file_name(trace.experiment_id) if args.out else None
+        results[trace.experiment_id] = _characterize(traces.select([trace.experiment_id]), args, folder).to_dict()
+    write_result(args, {"each": results})
+
+
+def _characterize(traces: TraceSet, args: argparse.Namespace, folder: Path | None) -> Characterization:
+    """Fit some curves together, print the result, draw its figures."""
     prior, simulator = prior_of(args), PolytropicSimulator()
     result = characterize(
         traces,
@@ -57,24 +79,20 @@ def run(args: argparse.Namespace) -> None:
         progress=progress_of(args),
     )
     print("\n" + result.report())
-    if args.out:
-        _figures(result, prior, simulator, Path(args.out))
-        _write_report(traces, result, Path(args.out))
-    write_result(args, result.to_dict())
+    if folder:
+        _figures(result, prior, simulator, folder)
+        (folder / "report.txt").write_text(traces.report() + "\n\n" + result.report() + "\n")
+    return result
 
 
 def _figures(result: Characterization, prior: Belief, simulator: Simulator, folder: Path) -> None:
     best = result.posterior.best
     band = predictive_band(result.assimilation, result.posterior, simulator, best.model)
     for e, experiment in enumerate(result.experiments):
-        name = "".join(c if c.isalnum() or c in "-_" else "_" for c in experiment.label)
-        save_figure(plot_experiment(experiment, tuple(x[e] for x in band)), folder, f"curve_{name}")  # type: ignore[arg-type]
+        axes = plot_experiment(experiment, (band[0][e], band[1][e], band[2][e]))
+        save_figure(axes, folder, f"curve_{file_name(experiment.label)}")
     for name in best.names:
         pair = (("prior", prior[best.model]), ("posterior", best))
         save_figure(plot_parameter(pair, name), folder, f"parameter_{name}")
     save_figure(plot_probabilities((("prior", prior), ("posterior", result.posterior))), folder, "models")
     print(f"wrote {len(result.experiments) + len(best.names) + 1} figures to {folder}")
-
-
-def _write_report(traces: TraceSet, result: Characterization, folder: Path) -> None:
-    (folder / "report.txt").write_text(traces.report() + "\n\n" + result.report() + "\n")

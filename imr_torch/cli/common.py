@@ -77,6 +77,11 @@ def progress_of(args: argparse.Namespace) -> Callable[[str], None] | None:
     return lambda text: print(f"[{time.monotonic() - started:6.1f} s] {text}", file=sys.stderr, flush=True)
 
 
+def file_name(label: str) -> str:
+    """A label as part of a file name."""
+    return "".join(c if c.isalnum() or c in "-_" else "_" for c in label)
+
+
 def save_figure(ax: Axes, folder: Path, name: str) -> Path:
     """Save the figure of ``ax`` as PNG and close it."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -82,7 +82,9 @@ def test_that_every_model_has_a_reference_and_every_parameter_a_test_value() -> 
 
 @MODELS
 @pytest.mark.parametrize(("radius", "velocity"), STATES)
-def test_that_the_stress_integral_is_the_quadrature_of_its_strain_energy(model: Material, radius: float, velocity: float) -> None:
+def test_that_the_stress_integral_is_the_quadrature_of_its_strain_energy(
+    model: Material, radius: float, velocity: float
+) -> None:
     values = values_of(model)
     expected = integral(REFERENCE[model.key], radius, velocity, values)
     assert float(evaluate(model, radius, velocity, values).value) == pytest.approx(expected, rel=1e-9, abs=1e-10)
@@ -230,7 +232,12 @@ def test_that_parameters_are_made_dimensionless_by_the_published_numbers() -> No
     speed = (101325.0 / 1060.0) ** 0.5
     torch.testing.assert_close(theta["G"].expand(2), torch.full((2,), 2770.0 / 101325.0, dtype=torch.float64))
     torch.testing.assert_close(theta["mu"], 0.186 * speed / (101325.0 * max_radius))
-    assert float(theta["alpha"]) == 0.48
+    assert float(theta["alpha"]) == pytest.approx(0.48)
+
+
+def test_that_plain_numbers_are_packed_with_all_their_digits() -> None:
+    packed = PARAMETERS.pack({"G": 1234.5678, "mu": 0.186, "alpha": 0.48})
+    assert packed[PARAMETERS.index(["G", "mu", "alpha"])].tolist() == [1234.5678, 0.186, 0.48]
 
 
 def test_that_units_convert_there_and_back() -> None:
