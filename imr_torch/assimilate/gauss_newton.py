@@ -6,18 +6,19 @@ they are eliminated one experiment at a time (Schur complement), and any number 
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 
 @dataclass(frozen=True)
-class NormalEquations:
-    """Linearisation of the joint cost at one point, nuisances eliminated.
+class Reduced:
+    """Normal equations of the gel alone, nuisances eliminated.
 
     Args:
-        gradient: ``... x d`` tensor, gradient over the gel with the nuisances at their conditional optimum.
-        hessian: ``... x d x d`` tensor, its Gauss-Newton Hessian (prior included).
+        gradient: ``... x d`` tensor, gradient with the nuisances at their conditional optimum.
+        hessian: ``... x d x d`` tensor.
         nuisance_step: ``... x E x 3`` tensor, step of the nuisances when the gel stays.
         nuisance_response: ``... x E x 3 x d`` tensor, how the nuisances' optimum moves with the gel.
         nuisance_log_det: ``...`` tensor, log determinant of the nuisances' own Hessian.
@@ -29,28 +30,69 @@ class NormalEquations:
     nuisance_response: Tensor
     nuisance_log_det: Tensor
 
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Linearisation of the joint cost at one point, as the blocks of the arrow.
+
+    Args:
+        gel_gradient: ``... x d`` tensor, prior included.
+        nuisance_gradient: ``... x E x 3`` tensor, prior included.
+        gel_hessian: ``... x d x d`` tensor, Gauss-Newton Hessian, prior included.
+        nuisance_hessian: ``... x E x 3 x 3`` tensor.
+        cross: ``... x E x 3 x d`` tensor.
+    """
+
+    gel_gradient: Tensor
+    nuisance_gradient: Tensor
+    gel_hessian: Tensor
+    nuisance_hessian: Tensor
+    cross: Tensor
+
+    @cached_property
+    def reduced(self) -> Reduced:
+        """The undamped equations of the gel."""
+        return self._eliminate(torch.zeros(self.gel_gradient.shape[:-1], dtype=self.gel_gradient.dtype))
+
+    def _eliminate(self, damping: Tensor) -> Reduced:
+        gel = _damped(self.gel_hessian, damping)
+        chol = torch.linalg.cholesky(_damped(self.nuisance_hessian, damping[..., None]))
+        response = -torch.cholesky_solve(self.cross, chol)
+        step = -torch.cholesky_solve(self.nuisance_gradient[..., None], chol)[..., 0]
+        gradient = self.gel_gradient + (response.mT @ self.nuisance_gradient[..., None])[..., 0].sum(-2)
+        hessian = gel + (self.cross.mT @ response).sum(-3)
+        log_det = 2.0 * chol.diagonal(dim1=-2, dim2=-1).log().sum((-2, -1))
+        return Reduced(gradient, 0.5 * (hessian + hessian.mT), step, response, log_det)
+
     @property
     def whitened_gradient(self) -> Tensor:
-        """``...`` tensor: length of the gradient in posterior standard deviations; 0 at the optimum."""
-        chol = torch.linalg.cholesky(self.hessian)
-        return torch.linalg.solve_triangular(chol, self.gradient[..., None], upper=False)[..., 0].norm(dim=-1)
+        """``...`` tensor: length of the joint gradient in posterior standard deviations; 0 at the optimum."""
+        chol = torch.linalg.cholesky(self.reduced.hessian)
+        gel = torch.linalg.solve_triangular(chol, self.reduced.gradient[..., None], upper=False).square().sum((-2, -1))
+        nuisances = -(self.nuisance_gradient * self.reduced.nuisance_step).sum((-2, -1))
+        return (gel + nuisances).sqrt()
 
     @property
     def posterior_chol(self) -> Tensor:
-        """``... x d x d`` lower Cholesky factor of the inverse Hessian."""
-        return torch.linalg.cholesky(torch.linalg.inv(self.hessian))
+        """``... x d x d`` lower Cholesky factor of the inverse Hessian of the gel, nuisances marginalised."""
+        return torch.linalg.cholesky(torch.linalg.inv(self.reduced.hessian))
 
     def step(self, damping: Tensor) -> tuple[Tensor, Tensor]:
-        """Levenberg-Marquardt steps of gel and nuisances; ``damping`` broadcasts against ``...``."""
-        scaled = self.hessian + damping[..., None, None] * torch.diag_embed(self.hessian.diagonal(dim1=-2, dim2=-1))
-        gel = -torch.linalg.solve(scaled, self.gradient[..., None])[..., 0]
-        return gel, self.nuisance_step + (self.nuisance_response @ gel[..., None, :, None])[..., 0]
+        """Levenberg-Marquardt steps of gel (``... x d``) and nuisances (``... x E x 3``) for a ``...`` damping."""
+        damped = self._eliminate(damping)
+        gel = -torch.linalg.solve(damped.hessian, damped.gradient[..., None])[..., 0]
+        return gel, damped.nuisance_step + (damped.nuisance_response @ gel[..., None, :, None])[..., 0]
+
+
+def _damped(hessian: Tensor, damping: Tensor) -> Tensor:
+    """``H + damping diag(H)`` (Marquardt 1963)."""
+    return hessian + damping[..., None, None] * torch.diag_embed(hessian.diagonal(dim1=-2, dim2=-1))
 
 
 def normal_equations(
     gel: Tensor, nuisances: Tensor, gradients: tuple[Tensor, Tensor], sensitivities: tuple[Tensor, Tensor]
 ) -> NormalEquations:
-    """Assemble the arrow and eliminate the nuisances.
+    """Assemble the arrow.
 
     Args:
         gel: ``... x d`` tensor, controls ``v``.
@@ -59,20 +101,18 @@ def normal_equations(
         sensitivities: of the whitened predictions over ``v`` (``... x E x T x d``) and ``w`` (``... x E x T x 3``).
 
     Returns:
-        The reduced normal equations.
+        The normal equations.
     """
     by_gel, by_nuisance = sensitivities
-    own = torch.eye(nuisances.shape[-1], dtype=gel.dtype, device=gel.device) + by_nuisance.mT @ by_nuisance
-    cross = by_nuisance.mT @ by_gel
-    pull = nuisances + gradients[1]
-    chol = torch.linalg.cholesky(own)
-    response = -torch.cholesky_solve(cross, chol)
-    step = -torch.cholesky_solve(pull[..., None], chol)[..., 0]
-    gradient = gel + gradients[0] + (response.mT @ pull[..., None])[..., 0].sum(-2)
-    prior = torch.eye(gel.shape[-1], dtype=gel.dtype, device=gel.device)
-    hessian = prior + (by_gel.mT @ by_gel + cross.mT @ response).sum(-3)
-    log_det = 2.0 * chol.diagonal(dim1=-2, dim2=-1).log().sum(-1).sum(-1)
-    return NormalEquations(gradient, 0.5 * (hessian + hessian.mT), step, response, log_det)
+    gel_prior = torch.eye(gel.shape[-1], dtype=gel.dtype, device=gel.device)
+    nuisance_prior = torch.eye(nuisances.shape[-1], dtype=gel.dtype, device=gel.device)
+    return NormalEquations(
+        gel_gradient=gel + gradients[0],
+        nuisance_gradient=nuisances + gradients[1],
+        gel_hessian=gel_prior + (by_gel.mT @ by_gel).sum(-3),
+        nuisance_hessian=nuisance_prior + by_nuisance.mT @ by_nuisance,
+        cross=by_nuisance.mT @ by_gel,
+    )
 
 
 def ensemble_sensitivity(anomalies: Tensor, responses: Tensor) -> Tensor:
