@@ -105,10 +105,12 @@ class ModelBelief:
         return constant - 0.5 * whitened.square().sum(-1)
 
     def log_prob(self, values: Tensor) -> Tensor:
-        """Log density of free parameters in SI: ``... x d`` to ``...`` (per product of their units)."""
-        controls = self.to_controls(values)
+        """Log density of free parameters in SI: ``... x d`` to ``...`` (per product of their units); ``-inf`` outside."""
+        bounds = torch.tensor([(m.lower, m.upper) for m in self.marginals], dtype=values.dtype, device=values.device)
+        inside = ((values >= bounds[:, 0]) & (values <= bounds[:, 1])).all(-1)
+        controls = self.to_controls(torch.where(inside[..., None], values, self.physical(self.mean)))
         slopes = sum(m.log_slope(controls[..., i]) for i, m in enumerate(self.marginals))
-        return self.log_prob_controls(controls) - slopes
+        return torch.where(inside, self.log_prob_controls(controls) - slopes, -math.inf)
 
     def quantile(self, levels: Sequence[float] | Tensor) -> Tensor:
         """Quantiles of each marginal: ``levels`` (n) to ``n x d``, SI. Exact, since each map is monotone."""
@@ -293,8 +295,9 @@ class Belief:
         Raises:
             InputDataError: if the document is not a belief, or its parameter names differ from the models'.
         """
-        if document.get("format") != "imr_torch belief 1":
-            raise InputDataError(f"Expected a document of the format 'imr_torch belief 1', got {document.get('format')!r}.")
+        found = document.get("format") if isinstance(document, Mapping) else type(document).__name__
+        if found != "imr_torch belief 1":
+            raise InputDataError(f"Expected a document of the format 'imr_torch belief 1', got {found!r}.")
         parts = []
         for entry in document["models"]:
             if tuple(entry["names"]) != material(entry["model"]).free:
@@ -315,8 +318,12 @@ class Belief:
 
     @classmethod
     def load(cls, path: str | Path) -> "Belief":
-        """Read a belief that :meth:`save` wrote."""
+        """Read a belief that :meth:`save` wrote, or the belief in a result that the command line wrote as JSON."""
         try:
-            return cls.from_dict(json.loads(Path(path).read_text()))
-        except (OSError, json.JSONDecodeError) as error:
+            document = json.loads(Path(path).read_text(encoding="utf-8"))
+            document = document.get("belief", document) if isinstance(document, dict) else document
+            return cls.from_dict(document)
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError, InputDataError) as error:
             raise InputDataError(f"{path}: not a saved belief ({error}).") from None
+        except KeyError as error:
+            raise InputDataError(f"{path}: not a saved belief (its entry {error} is missing).") from None

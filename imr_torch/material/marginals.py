@@ -15,11 +15,22 @@ from torch.special import ndtri
 
 from imr_torch.errors import InputDataError
 
+_TINY = 1e-300
 _FAR = 25.0  # standard deviations from which tails are computed by their asymptotic form
 
 
 class Marginal(Protocol):
     """A monotone map from ``z`` to a parameter and back; all methods act elementwise on any shape."""
+
+    @property
+    def lower(self) -> float:
+        """Smallest value with a density, SI."""
+        ...
+
+    @property
+    def upper(self) -> float:
+        """Largest value with a density, SI."""
+        ...
 
     def to_physical(self, z: Tensor) -> Tensor:
         """Parameter in SI units at the control ``z``."""
@@ -108,8 +119,8 @@ class TruncatedNormal:
         below, above = self._tails()
         kept = 1.0 - below - above
         x = (value - self.mean) / self.sd
-        cumulative = ((ndtr(x) - below) / kept).clamp(0.0, 1.0)
-        survival = ((ndtr(-x) - above) / kept).clamp(0.0, 1.0)
+        cumulative = ((ndtr(x) - below) / kept).clamp(_TINY, 1.0)  # a value at its bound has a finite density
+        survival = ((ndtr(-x) - above) / kept).clamp(_TINY, 1.0)
         z = torch.where(cumulative < 0.5, ndtri(cumulative), -ndtri(survival))
         far = torch.sign(x) * _far_tail(x.abs().clamp_min(_FAR), -math.log(kept))
         unbounded = (x > _FAR) & (above == 0.0) | (x < -_FAR) & (below == 0.0)
@@ -141,6 +152,16 @@ class LogNormal:
             raise InputDataError(
                 f"LogNormal.factor is {self.factor}; a spread needs a factor above 1 (2 means 'within twofold')."
             )
+
+    @property
+    def lower(self) -> float:
+        """See :class:`Marginal`."""
+        return 0.0
+
+    @property
+    def upper(self) -> float:
+        """See :class:`Marginal`."""
+        return math.inf
 
     def to_physical(self, z: Tensor) -> Tensor:
         """See :class:`Marginal`."""

@@ -113,7 +113,10 @@ class ParameterVector:
         Raises:
             InputDataError: for an unknown name, or a value that is not finite or outside the parameter's bounds.
         """
-        columns = {self[name].name: torch.as_tensor(value) for name, value in values.items()}
+        columns = {
+            self[name].name: value if isinstance(value, Tensor) else torch.tensor(value, dtype=torch.float64)
+            for name, value in values.items()
+        }
         floating = [c for c in columns.values() if c.is_floating_point() and c.ndim > 0]
         dtype = floating[0].dtype if floating else torch.float64
         shape = torch.broadcast_shapes(*[c.shape for c in columns.values()]) if columns else ()

@@ -4,6 +4,7 @@ An :class:`Experiment` is one design shot once or several times. :class:`Experim
 number of frames, so that any number of experiments is one tensor; :func:`predict` says what the camera would see.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -41,7 +42,9 @@ class Experiment:
                 f"Experiment {self.label!r}: expected radius n_repeats x n_t and times n_t, "
                 f"got {tuple(self.radius.shape)} and {tuple(self.times.shape)}."
             )
-        if self.times.shape[0] < 2 or self.radius.shape[0] < 1:
+        if self.radius.shape[0] < 1:
+            raise InputDataError(f"Experiment {self.label!r} has no repeat; give at least one row of radius.")
+        if self.times.shape[0] < 2:
             raise InputDataError(f"Experiment {self.label!r} has {self.times.shape[0]} frames; at least 2 are needed.")
         check_designs(torch.tensor([self.design], dtype=torch.float64))
         if not bool(torch.isfinite(self.radius).all()):
@@ -157,8 +160,8 @@ class ExperimentBatch:
         else:
             scatter = (_along_frames(self._scatter, weight) * weight).sum(-1)
             correlation = -self._decorrelation.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        frames = self.mask.sum(-1)
-        normaliser = sd.log().sum(-1) + correlation + 0.5 * frames * torch.log(torch.tensor(2.0 * torch.pi))
+        frames = self.mask.sum(-1).to(sd.dtype)
+        normaliser = sd.log().sum(-1) + correlation + 0.5 * frames * math.log(2.0 * math.pi)
         value = -0.5 * square - self.repeats * (0.5 * scatter + normaliser)
         return torch.where(torch.isnan(value), -torch.inf, value)
 

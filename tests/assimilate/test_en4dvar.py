@@ -1,0 +1,294 @@
+"""Ensemble 4D-Var against the exact posterior of a linear simulator, and against the exact cost of the real one."""
+
+import copy
+import warnings
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate
+from imr_torch.errors import ConvergenceError, ConvergenceWarning, InputDataError
+from imr_torch.material import PARAMETERS, Belief, TruncatedNormal
+from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory, predict
+from imr_torch.simulate import PolytropicSimulator
+from tests.linear import CORRELATED, MEANS, MODELS, NOISE, SDS, Exact, LinearSimulator, exact, experiments, prior, tensor
+
+OPTIONS = EnsembleOptions(scouts=24)
+CLOCK = Nuisance(time_zero=0.2)
+BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
+
+
+def fitted(belief: Belief, batch: ExperimentBatch, simulator=None, *, seed: int = 1, options: EnsembleOptions = OPTIONS):
+    return assimilate(belief, batch, simulator or LinearSimulator(), seed=seed, options=options)
+
+
+def assert_exact(fit: ModelFit, truth: Exact, *, atol: float = 1e-7) -> None:
+    torch.testing.assert_close(fit.mean, truth.mean, rtol=0.0, atol=atol)
+    torch.testing.assert_close(fit.chol @ fit.chol.mT, truth.covariance, rtol=1e-6, atol=atol)
+    torch.testing.assert_close(fit.nuisances, truth.nuisances, rtol=0.0, atol=atol)
+
+
+BATCHES = {
+    "one experiment": experiments(1),
+    "several": experiments(3),
+    "correlated noise": experiments(3, noise=CORRELATED),
+    "uncertain clock": experiments(3, nuisance=CLOCK),
+    "uncertain clock and rest radius": experiments(4, nuisance=BOTH),
+    "both, correlated": experiments(3, nuisance=BOTH, noise=CORRELATED),
+    "scaled noise": experiments(2, noise=replace(NOISE, scale=3.0)),
+}
+
+
+@pytest.mark.parametrize("correlated", [False, True], ids=["standard prior", "correlated prior"])
+@pytest.mark.parametrize("batch", BATCHES.values(), ids=BATCHES.keys())
+def test_that_the_posterior_of_a_linear_simulator_is_exact(batch: ExperimentBatch, correlated: bool) -> None:
+    belief = prior(correlated=correlated)
+    result = fitted(belief, batch)
+    assert result.converged
+    for part, fit in zip(belief.models, result.fits, strict=True):
+        assert_exact(fit, exact(part, batch))
+
+
+def test_that_the_experiments_own_clock_errors_differ() -> None:
+    """A batch in which only one experiment is uncertain: the others keep their nuisances at 0."""
+    certain, uncertain = experiments(2).experiments, experiments(1, nuisance=BOTH, seed=4).experiments
+    batch = ExperimentBatch((certain[0], uncertain[0], certain[1]), NOISE)
+    fit = fitted(prior(("nhkv",)), batch).fits[0]
+    assert_exact(fit, exact(prior(("nhkv",)).models[0], batch))
+    assert float(fit.nuisances[[0, 2]].abs().max()) == 0.0
+    assert float(fit.nuisances[1].abs().max()) > 0.01
+
+
+@pytest.mark.parametrize("nuisance", [Nuisance(), BOTH], ids=["certain", "uncertain"])
+def test_that_one_update_is_two_updates_in_turn(nuisance: Nuisance) -> None:
+    belief = prior()
+    batch = experiments(4, nuisance=nuisance)
+    first, second = (ExperimentBatch(part, NOISE) for part in (batch.experiments[:1], batch.experiments[1:]))
+    together = fitted(belief, batch)
+    halfway = fitted(belief, first)
+    middle = Belief(tuple(fit.posterior for fit in halfway.fits), belief.log_probabilities)
+    in_turn = fitted(middle, second)
+    for one, other in zip(together.fits, in_turn.fits, strict=True):
+        torch.testing.assert_close(one.posterior.mean, other.posterior.mean, rtol=0.0, atol=1e-7)
+        torch.testing.assert_close(one.posterior.chol, other.posterior.chol, rtol=1e-6, atol=1e-9)
+
+
+def test_that_the_posterior_in_physical_units_is_the_exact_one() -> None:
+    belief, batch = prior(("nhkv",), correlated=True), experiments(3)
+    part, posterior = belief.models[0], fitted(belief, batch).fits[0].posterior
+    truth = exact(part, batch)
+    factor = torch.diag(tensor(SDS["G"], SDS["mu"])) @ part.chol
+    means = tensor(MEANS["G"], MEANS["mu"]) + tensor(SDS["G"], SDS["mu"]) * part.mean + factor @ truth.mean
+    torch.testing.assert_close(posterior.means, means, rtol=1e-7, atol=0.0)
+    torch.testing.assert_close(posterior.sds, (factor @ truth.covariance @ factor.mT).diagonal().sqrt(), rtol=1e-6, atol=0.0)
+
+
+def test_that_it_does_not_matter_whether_the_prior_is_in_the_marginal_or_in_the_gaussian() -> None:
+    batch, plain = experiments(3, nuisance=CLOCK), prior(("nhkv",))
+    standard = Belief.prior({"nhkv": {name: TruncatedNormal(0.0, 1.0) for name in ("G", "mu")}})
+    moved = standard.models[0].with_gaussian(tensor(MEANS["G"], MEANS["mu"]), torch.diag(tensor(SDS["G"], SDS["mu"])))
+    one, other = fitted(plain, batch).fits[0], fitted(Belief((moved,), tensor(0.0)), batch).fits[0]
+    torch.testing.assert_close(one.mean, other.mean, rtol=0.0, atol=1e-7)
+    torch.testing.assert_close(one.posterior.means, other.posterior.means, rtol=1e-9, atol=0.0)
+    torch.testing.assert_close(one.posterior.sds, other.posterior.sds, rtol=1e-6, atol=0.0)
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e3])
+def test_that_a_change_of_units_changes_only_the_units(factor: float) -> None:
+    """Prior and simulator rescaled together: the same controls, and a posterior in the new units."""
+    batch = experiments(3)
+    other_units = LinearSimulator(units={name: factor * sd for name, sd in SDS.items()})
+    rescaled = Belief.prior({"nhkv": {n: TruncatedNormal(factor * MEANS[n], factor * SDS[n]) for n in ("G", "mu")}})
+    one, other = fitted(prior(("nhkv",)), batch).fits[0], fitted(rescaled, batch, other_units).fits[0]
+    torch.testing.assert_close(one.mean, other.mean, rtol=0.0, atol=1e-7)
+    torch.testing.assert_close(factor * one.posterior.means, other.posterior.means, rtol=1e-9, atol=0.0)
+
+
+@pytest.mark.parametrize("members", [8, 10, 16, 40])
+@pytest.mark.parametrize("spread", [0.01, 1.0])
+def test_that_any_ensemble_gives_the_same_answer(members: int, spread: float) -> None:
+    belief, batch = prior(), experiments(3, nuisance=CLOCK)
+    result = fitted(belief, batch, options=replace(OPTIONS, members=members, spread=spread))
+    for part, fit in zip(belief.models, result.fits, strict=True):
+        assert_exact(fit, exact(part, batch), atol=1e-6)
+
+
+def test_that_any_seed_gives_the_same_answer_and_the_same_seed_the_same_bits() -> None:
+    belief, batch = prior(), experiments(3, nuisance=CLOCK)
+    one, same, other = (fitted(belief, batch, seed=seed) for seed in (1, 1, 2))
+    for a, b, c in zip(one.fits, same.fits, other.fits, strict=True):
+        assert torch.equal(a.mean, b.mean)
+        assert torch.equal(a.chol, b.chol)
+        torch.testing.assert_close(a.mean, c.mean, rtol=0.0, atol=1e-7)
+
+
+def test_that_a_model_is_fitted_in_company_as_it_is_alone() -> None:
+    batch = experiments(3)
+    together = fitted(prior(), batch)
+    for model in MODELS:
+        torch.testing.assert_close(fitted(prior((model,)), batch).fits[0].mean, together[model].mean, rtol=0.0, atol=1e-7)
+
+
+def test_that_repeats_count_as_often_as_they_were_made() -> None:
+    """Repeats of one curve, or the same curves as experiments of one repeat each."""
+    batch = experiments(3, noise=CORRELATED)
+    singles = tuple(replace(e, radius=curve[None]) for e in batch.experiments for curve in e.radius)
+    assert len(singles) > len(batch.experiments)
+    one, other = (fitted(prior(("nhkv",)), b).fits[0] for b in (batch, ExperimentBatch(singles, CORRELATED)))
+    torch.testing.assert_close(one.mean, other.mean, rtol=0.0, atol=1e-7)
+    torch.testing.assert_close(one.chol, other.chol, rtol=1e-6, atol=1e-9)
+
+
+def test_that_members_that_fail_do_not_move_the_answer() -> None:
+    """Everything a hundredth of a standard deviation beyond the optimum fails: half of every ensemble."""
+    belief, batch = prior(("nhkv",)), experiments(3)
+    truth = exact(belief.models[0], batch)
+    sd = float(truth.covariance[0, 0].sqrt())
+    limit = MEANS["G"] + SDS["G"] * float(truth.mean[0] + 0.01 * sd)
+    fit = fitted(belief, batch, LinearSimulator(limit={"G": limit})).fits[0]
+    assert 0.1 < fit.certificate.failed_members < 0.7
+    torch.testing.assert_close(fit.mean, truth.mean, rtol=0.0, atol=1e-2 * sd)
+
+
+def test_that_the_belief_and_the_batch_are_not_changed() -> None:
+    belief, batch = prior(), experiments(3, nuisance=BOTH)
+    saved, kept = copy.deepcopy(belief.to_dict()), [e.radius.clone() for e in batch.experiments]
+    result = fitted(belief, batch)
+    assert belief.to_dict() == saved
+    assert all(torch.equal(e.radius, old) for e, old in zip(batch.experiments, kept, strict=True))
+    assert result.prior is belief
+    assert result.batch is batch
+
+
+def test_that_the_cost_is_that_of_the_joint_density() -> None:
+    batch = experiments(3, nuisance=BOTH)
+    fit = fitted(prior(("nhkv",)), batch).fits[0]
+    prediction = predict(LinearSimulator(), fit.parameters(fit.mean), batch, fit.nuisances * batch.nuisance_sds)
+    expected = 0.5 * (fit.mean.square().sum() + fit.nuisances.square().sum()) - batch.log_likelihood(prediction).sum()
+    assert fit.cost == pytest.approx(float(expected), rel=1e-12)
+    torch.testing.assert_close(torch.where(batch.mask, prediction, 0.0), fit.prediction)
+    assert fit_rmse(batch, prediction) == pytest.approx(float(Assimilation(prior(("nhkv",)), batch, (fit,)).rmse("nhkv")))
+
+
+def fit_rmse(batch: ExperimentBatch, prediction: Tensor) -> float:
+    residuals = [e.radius.mean(0) - prediction[i, : e.times.shape[0]] for i, e in enumerate(batch.experiments)]
+    return float(torch.cat(residuals).square().mean().sqrt())
+
+
+def test_that_progress_is_told_once_per_iteration() -> None:
+    lines: list[str] = []
+    assimilate(prior(), experiments(2), LinearSimulator(), seed=0, options=OPTIONS, progress=lines.append)
+    assert len(lines) >= 2
+    assert all(f"iteration {i + 1}," in line and "gen_qkv cost" in line for i, line in enumerate(lines))
+
+
+# ---------------------------------------------------------------- certificates, both ways
+
+
+def test_that_a_fit_that_converged_says_so_and_does_not_warn() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = fitted(prior(), experiments(3))
+    assert result.converged
+    for fit in result.fits:
+        assert fit.certificate.gradient < OPTIONS.gradient
+        assert fit.certificate.agreement < 1e-6
+        assert fit.certificate.failed_members == 0.0
+        assert str(fit.certificate).startswith("converged (gradient")
+
+
+def test_that_a_fit_that_was_cut_short_warns_and_says_so() -> None:
+    with pytest.warns(ConvergenceWarning, match=r"nhkv: NOT CONVERGED \(gradient"):
+        result = fitted(prior(("nhkv",)), experiments(3), options=replace(OPTIONS, iterations=1))
+    assert not result.converged
+    assert result.fits[0].certificate.iterations == 1
+    assert result.fits[0].certificate.gradient > OPTIONS.gradient
+
+
+def test_that_a_simulator_that_always_fails_is_a_convergence_error() -> None:
+    with pytest.raises(ConvergenceError, match=r"nhkv: 0 of 24 prior draws could be simulated; check units and bounds"):
+        fitted(prior(("nhkv",)), experiments(2), LinearSimulator(fails=True))
+
+
+@pytest.mark.parametrize(("models", "members", "least"), [(("newtonian",), 2, 4), (("nhkv",), 4, 6), (MODELS, 6, 8)])
+def test_that_too_small_an_ensemble_is_refused(models: tuple[str, ...], members: int, least: int) -> None:
+    with pytest.raises(InputDataError, match=rf"members is {members}: \d parameters need at least {least} members"):
+        fitted(prior(models), experiments(1), options=replace(OPTIONS, members=members))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"members": 7}, r"EnsembleOptions.members is 7; expected an even number"),
+        ({"members": 0}, r"EnsembleOptions.members is 0"),
+        ({"starts": 1}, r"2 <= starts <= scouts, got 1"),
+        ({"starts": 5, "scouts": 4}, r"2 <= starts <= scouts, got 5 and 4"),
+        ({"spread": 0.0}, r"spread 0.0 must be in \(0, 2\]"),
+        ({"spread": 3.0}, r"spread 3.0 must be in \(0, 2\]"),
+        ({"iterations": 0}, r"iterations 0 >= 1"),
+    ],
+)
+def test_that_bad_options_are_named(changes: dict, message: str) -> None:
+    with pytest.raises(InputDataError, match=message):
+        EnsembleOptions(**changes)
+
+
+# ---------------------------------------------------------------- the real simulator
+
+
+@pytest.fixture(scope="module")
+def bubbles() -> tuple[Tensor, ExperimentBatch, ModelFit]:
+    """Two designs on an NHKV gel, uncertain in all three nuisances, noise that depends on the radius; and their fit."""
+    truth = PARAMETERS.pack({"G": tensor(7000.0)[0], "mu": tensor(0.12)[0]})
+    laboratory = SimulatedLaboratory(
+        PolytropicSimulator(),
+        truth,
+        Noise(),
+        20,
+        torch.linspace(0.0, 2.0, 31, dtype=torch.float64),
+        (0.0, 0.0),
+        Nuisance(0.005, 0.01, 0.02),
+    )
+    batch = ExperimentBatch(
+        tuple(laboratory.shoot(tensor(w, r), seed=i) for i, (w, r) in enumerate(((500.0, 0.2), (900.0, 0.25))))
+    )
+    belief = Belief.prior({"nhkv": {"G": TruncatedNormal(9000.0, 4000.0, 0.0), "mu": TruncatedNormal(0.15, 0.08, 0.0)}})
+    return truth, batch, fitted(belief, batch, PolytropicSimulator(), options=EnsembleOptions(scouts=32, starts=2)).fits[0]
+
+
+def test_that_the_gel_is_found_within_its_interval(bubbles) -> None:
+    truth, _, fit = bubbles
+    assert fit.certificate.converged
+    deviation = (fit.posterior.means - truth[PARAMETERS.index(("G", "mu"))]) / fit.posterior.sds
+    assert float(deviation.abs().max()) < 4.0
+    assert bool((fit.posterior.sds < 0.1 * fit.prior.sds).all())
+
+
+def test_that_no_neighbour_of_the_fit_costs_less(bubbles) -> None:
+    """Moves of a fifth of a standard deviation along each axis of the posterior, nuisances following or not."""
+    _, batch, fit = bubbles
+
+    def cost(v: Tensor, w: Tensor) -> Tensor:
+        prediction = predict(PolytropicSimulator(), fit.parameters(v), batch, w * batch.nuisance_sds)
+        likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0)).sum(-1)
+        return 0.5 * v.square().sum(-1) + 0.5 * w.square().sum((-2, -1)) - likelihood
+
+    moves = 0.2 * torch.cat((fit.chol.mT, -fit.chol.mT))
+    follow = (fit.nuisance_response @ moves[:, None, :, None])[..., 0]
+    for w in (fit.nuisances.expand(4, -1, -1), fit.nuisances + follow):
+        assert bool((cost(fit.mean + moves, w) > fit.cost).all())
+    sides = 0.05 * torch.cat((torch.eye(6), -torch.eye(6))).to(torch.float64).reshape(12, 2, 3)
+    assert bool((cost(fit.mean.expand(12, -1), fit.nuisances + sides) > fit.cost).all())
+
+
+def test_that_the_stated_covariance_is_the_curvature_of_the_exact_cost(bubbles) -> None:
+    """Half a unit of cost at one standard deviation, with the nuisances at their conditional optimum."""
+    _, batch, fit = bubbles
+    moves = torch.cat((fit.chol.mT, -fit.chol.mT))
+    w = fit.nuisances + (fit.nuisance_response @ moves[:, None, :, None])[..., 0]
+    prediction = predict(PolytropicSimulator(), fit.parameters(fit.mean + moves), batch, w * batch.nuisance_sds)
+    likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0)).sum(-1)
+    rise = 0.5 * (fit.mean + moves).square().sum(-1) + 0.5 * w.square().sum((-2, -1)) - likelihood - fit.cost
+    torch.testing.assert_close(rise, torch.full((4,), 0.5, dtype=torch.float64), rtol=0.0, atol=0.1)

@@ -1,0 +1,192 @@
+"""The arrow-shaped normal equations against the same equations solved dense."""
+
+from dataclasses import fields
+
+import pytest
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import NormalEquations, ensemble_sensitivity, normal_equations
+from imr_torch.assimilate.gauss_newton import Reduced
+
+SIZE, EXPERIMENTS, FRAMES = 3, 4, 7
+
+
+def random(*shape: int, seed: int) -> Tensor:
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def problem(*batch: int, seed: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Controls ``v`` and ``w``, sensitivities to them, and whitened residuals."""
+    return (
+        random(*batch, SIZE, seed=seed),
+        random(*batch, EXPERIMENTS, 3, seed=seed + 1),
+        random(*batch, EXPERIMENTS, FRAMES, SIZE, seed=seed + 2),
+        random(*batch, EXPERIMENTS, FRAMES, 3, seed=seed + 3),
+        random(*batch, EXPERIMENTS, FRAMES, seed=seed + 4),
+    )
+
+
+def assembled(gel: Tensor, nuisances: Tensor, by_gel: Tensor, by_nuisance: Tensor, residual: Tensor) -> NormalEquations:
+    gradients = (by_gel.mT @ residual[..., None])[..., 0].sum(-2), (by_nuisance.mT @ residual[..., None])[..., 0]
+    return normal_equations(gel, nuisances, gradients, (by_gel, by_nuisance))
+
+
+def dense(gel: Tensor, nuisances: Tensor, by_gel: Tensor, by_nuisance: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
+    """Hessian and gradient of ``|x|^2/2 + |residual|^2/2`` over ``x = (v, w)``."""
+    rows = torch.zeros(EXPERIMENTS, FRAMES, SIZE + 3 * EXPERIMENTS, dtype=torch.float64)
+    rows[..., :SIZE] = by_gel
+    for e in range(EXPERIMENTS):
+        rows[e, :, SIZE + 3 * e : SIZE + 3 * e + 3] = by_nuisance[e]
+    matrix = rows.reshape(-1, rows.shape[-1])
+    hessian = torch.eye(matrix.shape[1], dtype=torch.float64) + matrix.mT @ matrix
+    return hessian, torch.cat((gel, nuisances.reshape(-1))) + matrix.mT @ residual.reshape(-1)
+
+
+@pytest.mark.parametrize("seed", [0, 10, 20])
+def test_that_elimination_gives_the_marginal_covariance_of_the_dense_system(seed: int) -> None:
+    given = problem(seed=seed)
+    equations = assembled(*given)
+    hessian = equations.reduced.hessian
+    covariance = torch.linalg.inv(dense(*given)[0])[:SIZE, :SIZE]
+    torch.testing.assert_close(torch.linalg.inv(hessian), covariance, rtol=1e-10, atol=1e-12)
+    torch.testing.assert_close(equations.posterior_chol @ equations.posterior_chol.mT, covariance, rtol=1e-10, atol=1e-12)
+    assert torch.equal(equations.posterior_chol, torch.tril(equations.posterior_chol))
+
+
+@pytest.mark.parametrize("seed", [0, 10, 20])
+def test_that_the_undamped_step_is_the_dense_newton_step(seed: int) -> None:
+    given = problem(seed=seed)
+    hessian, gradient = dense(*given)
+    expected = -torch.linalg.solve(hessian, gradient)
+    gel, nuisances = assembled(*given).step(torch.tensor(0.0, dtype=torch.float64))
+    torch.testing.assert_close(torch.cat((gel, nuisances.reshape(-1))), expected, rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("damping", [0.01, 1.0, 100.0])
+def test_that_a_damped_step_is_marquardts_step_of_the_dense_system(damping: float) -> None:
+    """``(H + damping diag H) x = -g`` for gel and nuisances together."""
+    given = problem(seed=30)
+    hessian, gradient = dense(*given)
+    expected = -torch.linalg.solve(hessian + damping * torch.diag(hessian.diagonal()), gradient)
+    gel, nuisances = assembled(*given).step(torch.tensor(damping, dtype=torch.float64))
+    torch.testing.assert_close(torch.cat((gel, nuisances.reshape(-1))), expected, rtol=1e-9, atol=1e-10)
+
+
+def test_that_determinants_multiply_to_that_of_the_dense_system() -> None:
+    given = problem()
+    reduced = assembled(*given).reduced
+    total = torch.logdet(reduced.hessian) + reduced.nuisance_log_det
+    assert float(total) == pytest.approx(float(torch.logdet(dense(*given)[0])), rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", [0, 10, 20])
+def test_that_the_whitened_gradient_is_the_newton_decrement_of_the_dense_system(seed: int) -> None:
+    """``sqrt(g^T H^-1 g)`` over gel and nuisances: the length of the undamped step in posterior standard deviations."""
+    given = problem(seed=seed)
+    hessian, gradient = dense(*given)
+    expected = (gradient @ torch.linalg.solve(hessian, gradient)).sqrt()
+    assert float(assembled(*given).whitened_gradient) == pytest.approx(float(expected), rel=1e-10)
+
+
+def test_that_the_whitened_gradient_sees_a_nuisance_that_has_not_arrived() -> None:
+    """The gel at its conditional optimum and a nuisance away from its own: no minimum yet."""
+    gel, _, by_gel, by_nuisance, _ = problem()
+    still = torch.zeros(EXPERIMENTS, FRAMES, dtype=torch.float64)
+    away = torch.zeros(EXPERIMENTS, 3, dtype=torch.float64)
+    away[1, 2] = 2.0
+    uncoupled = torch.zeros_like(by_gel)
+    assert float(assembled(0.0 * gel, 0.0 * away, uncoupled, by_nuisance, still).whitened_gradient) == 0.0
+    assert float(assembled(0.0 * gel, away, uncoupled, by_nuisance, still).whitened_gradient) > 0.1
+
+
+def test_that_the_nuisances_follow_their_conditional_optimum() -> None:
+    """The response is the derivative of the optimal ``w`` over ``v``, by solving for ``w`` at fixed ``v``."""
+    given = problem()
+    reduced = assembled(*given).reduced
+    hessian, gradient = dense(*given)
+    own, cross = hessian[SIZE:, SIZE:], hessian[SIZE:, :SIZE]
+    step = -torch.linalg.solve(own, gradient[SIZE:]).reshape(EXPERIMENTS, 3)
+    torch.testing.assert_close(reduced.nuisance_step, step, rtol=1e-10, atol=1e-10)
+    response = -torch.linalg.solve(own, cross).reshape(EXPERIMENTS, 3, SIZE)
+    torch.testing.assert_close(reduced.nuisance_response, response, rtol=1e-10, atol=1e-10)
+
+
+def test_that_damping_shortens_the_step_and_still_goes_downhill() -> None:
+    given = problem()
+    gradient = dense(*given)[1]
+    steps = []
+    for damping in (0.0, 0.1, 1.0, 10.0, 1e3):
+        gel, nuisances = assembled(*given).step(torch.tensor(damping, dtype=torch.float64))
+        steps.append(torch.cat((gel, nuisances.reshape(-1))))
+    lengths = [float(step.norm()) for step in steps]
+    assert lengths == sorted(lengths, reverse=True)
+    assert all(float(step @ gradient) < 0.0 for step in steps)
+
+
+def test_that_a_batch_is_its_members() -> None:
+    given = problem(2, 5)
+    batch = assembled(*given)
+    for i, j in ((0, 0), (1, 4)):
+        alone = assembled(*(x[i, j] for x in given))
+        for part in fields(Reduced):
+            member = getattr(batch.reduced, part.name)[i, j]
+            torch.testing.assert_close(member, getattr(alone.reduced, part.name), rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(batch.whitened_gradient[i, j], alone.whitened_gradient)
+        torch.testing.assert_close(batch.posterior_chol[i, j], alone.posterior_chol)
+    damping = torch.full((2, 5), 0.3, dtype=torch.float64)
+    gel, nuisances = batch.step(damping)
+    one = assembled(*(x[1, 4] for x in given)).step(damping[1, 4])
+    torch.testing.assert_close(gel[1, 4], one[0], rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(nuisances[1, 4], one[1], rtol=1e-12, atol=1e-12)
+
+
+def test_that_nuisances_without_effect_change_nothing() -> None:
+    gel, nuisances, by_gel, by_nuisance, residual = problem()
+    equations = assembled(gel, torch.zeros_like(nuisances), by_gel, torch.zeros_like(by_nuisance), residual).reduced
+    rows = by_gel.reshape(-1, SIZE)
+    torch.testing.assert_close(equations.hessian, torch.eye(SIZE, dtype=torch.float64) + rows.mT @ rows)
+    assert float(equations.nuisance_log_det) == 0.0
+    assert float(equations.nuisance_step.abs().max()) == 0.0
+    assert float(equations.nuisance_response.abs().max()) == 0.0
+
+
+@pytest.mark.parametrize("members", [SIZE, SIZE + 1, 16])
+@pytest.mark.parametrize("size", [1e-4, 1.0])
+def test_that_the_sensitivity_of_a_linear_model_is_exact_for_any_ensemble(members: int, size: float) -> None:
+    matrix = random(5, SIZE, seed=1)
+    anomalies = size * random(2, members, SIZE, seed=2)
+    torch.testing.assert_close(
+        ensemble_sensitivity(anomalies, anomalies @ matrix.mT), matrix.expand(2, 5, SIZE), rtol=1e-8, atol=1e-8
+    )
+
+
+def test_that_members_that_failed_do_not_count() -> None:
+    matrix, anomalies = random(5, SIZE, seed=1), random(10, SIZE, seed=2)
+    responses = anomalies @ matrix.mT
+    responses[2, 3], responses[7], responses[8, 0] = torch.nan, torch.nan, torch.inf
+    torch.testing.assert_close(ensemble_sensitivity(anomalies, responses), matrix, rtol=1e-9, atol=1e-9)
+
+
+def test_that_opposite_pairs_leave_no_error_of_second_order() -> None:
+    """A quadratic response is even: antithetic members see only its slope, one-sided members also its curvature."""
+    half = 0.1 * random(6, SIZE, seed=3)
+    matrix, curvature = random(5, SIZE, seed=1), random(5, SIZE, seed=4)
+
+    def error(anomalies: Tensor) -> float:
+        responses = anomalies @ matrix.mT + (anomalies.square() @ curvature.mT)
+        return float((ensemble_sensitivity(anomalies, responses) - matrix).abs().max())
+
+    assert error(torch.cat((half, -half))) < 1e-10
+    assert error(half) > 1e-2
+
+
+def test_that_the_inputs_are_not_changed() -> None:
+    given = problem()
+    anomalies, responses = random(6, SIZE, seed=5), random(6, 4, seed=6)
+    responses[0, 0] = torch.nan
+    copies = [x.clone() for x in (*given, anomalies, responses)]
+    assembled(*given).step(torch.tensor(1.0, dtype=torch.float64))
+    ensemble_sensitivity(anomalies, responses)
+    for old, new in zip(copies, (*given, anomalies, responses), strict=True):
+        torch.testing.assert_close(old, new, rtol=0.0, atol=0.0, equal_nan=True)

@@ -1,0 +1,140 @@
+"""A simulator that is linear in the gel and in two nuisances, and the exact posterior and evidence that follow from it."""
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from imr_torch.material import PARAMETERS, Belief, ModelBelief, TruncatedNormal, material
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
+from imr_torch.simulate import Conditions, Solution, Status, broadcast_batch
+
+MEANS = {"G": 5000.0, "mu": 0.15, "alpha": 0.4}
+SDS = {"G": 1200.0, "mu": 0.06, "alpha": 0.3}
+MODELS = ("newtonian", "nhkv", "gen_qkv")
+NOISE = Noise(floor=0.05, slope=0.0, drift=0.0)
+CORRELATED = Noise(floor=0.05, slope=0.0, drift=0.0, correlation_time=0.3)
+
+
+def tensor(*values) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class LinearSimulator:
+    """``R = .6 + .3 t + .5 R_inf* + sum_j b_j(frame, We) theta_j / scale_j``: exactly linear, nuisances included.
+
+    The columns depend on the number of the frame and not on its time, so a shift of the clock adds ``.3`` times itself.
+    ``We`` takes part in them, so ``max_radius`` is the one nuisance that is not linear.
+
+    Args:
+        units: what one prior unit of each parameter is (a change of it is a change of the parameters' units).
+        limit: parameters above these values fail.
+        fails: whether everything fails.
+    """
+
+    units: dict[str, float] = field(default_factory=lambda: dict(SDS))
+    limit: dict[str, float] = field(default_factory=dict)
+    fails: bool = False
+    conditions: Conditions = field(default_factory=Conditions)
+    time_slope: float = 0.3
+    rest_slope: float = 0.5
+
+    def columns(self, frames: int, weber: Tensor) -> Tensor:
+        """``... x frames x p`` for ``...`` Weber numbers."""
+        k = torch.arange(frames, dtype=torch.float64)[:, None]
+        j = torch.arange(len(PARAMETERS), dtype=torch.float64)
+        units = tensor(*[self.units[name] for name in PARAMETERS.names])
+        return 0.1 * torch.cos((0.5 + 0.4 * j) * k + 0.003 * weber[..., None, None] + j) / units
+
+    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
+        gel = (self.columns(times.shape[-1], designs[:, 0]) @ parameters[..., None])[..., 0]
+        radius = 0.6 + self.time_slope * times + self.rest_slope * designs[:, 1:2] + gel
+        bad = torch.full(radius.shape[:1], self.fails)
+        for name, top in self.limit.items():
+            bad = bad | (parameters[:, PARAMETERS.index([name])[0]] > top)
+        radius = torch.where(bad[:, None], torch.nan, radius).reshape(*shape, -1)
+        status = torch.where(bad, int(Status.NON_FINITE), int(Status.DONE)).reshape(shape)
+        none = torch.zeros_like(radius)
+        return Solution(times.reshape(*shape, -1), radius, none, none, status, torch.ones_like(status))
+
+
+def prior(models: tuple[str, ...] = MODELS, *, correlated: bool = False) -> Belief:
+    """Unbounded normals; ``correlated`` gives the controls a Gaussian that is not the standard one."""
+    belief = Belief.prior({m: {n: TruncatedNormal(MEANS[n], SDS[n]) for n in material(m).free} for m in models})
+    if not correlated:
+        return belief
+    parts = []
+    for part in belief.models:
+        d = len(part.names)
+        source = torch.Generator().manual_seed(d)
+        chol = torch.tril(0.4 * torch.randn(d, d, generator=source, dtype=torch.float64), -1) + torch.eye(d) * 0.7
+        parts.append(part.with_gaussian(0.3 * torch.randn(d, generator=source, dtype=torch.float64), chol))
+    return Belief(tuple(parts), belief.log_probabilities)
+
+
+def experiments(count: int = 3, *, nuisance: Nuisance | None = None, noise: Noise = NOISE, seed: int = 0) -> ExperimentBatch:
+    """Experiments on one gel: each with its own design, number and spacing of frames, and repeats; last frames unequal."""
+    source = torch.Generator().manual_seed(seed)
+    truth = PARAMETERS.pack({n: tensor(MEANS[n] + 0.6 * SDS[n])[0] for n in ("G", "mu")})
+    nuisance = nuisance or Nuisance()
+    made = []
+    for e in range(count):
+        frames = 9 + 3 * ((e + seed) % 3)
+        times = 0.1 * e + torch.cumsum(0.1 + 0.2 * torch.rand(frames, generator=source, dtype=torch.float64), 0)
+        design = (300.0 + 250.0 * e, 0.15 + 0.05 * e)
+        shift = torch.randn(3, generator=source, dtype=torch.float64) * nuisance.sds()
+        clean = LinearSimulator()(truth, tensor(*design), times).radius + 0.3 * shift[1] + 0.5 * design[1] * shift[2]
+        made.append(Experiment(f"e{e}", design, times, noise.draw(clean, times, 1 + (e + 1) % 3, generator=source), nuisance))
+    return ExperimentBatch(tuple(made), noise)
+
+
+@dataclass(frozen=True)
+class Exact:
+    """The Gaussian posterior of ``v`` and of each experiment's nuisances, and the evidence.
+
+    Args:
+        mean: ``d`` tensor; ``v`` is the prior's own standard normal.
+        covariance: ``d x d`` tensor, nuisances marginalised.
+        nuisances: ``E x 3`` tensor, posterior mean.
+        log_evidence: of all repeats and frames.
+    """
+
+    mean: Tensor
+    covariance: Tensor
+    nuisances: Tensor
+    log_evidence: float
+
+
+def exact(part: ModelBelief, batch: ExperimentBatch, simulator: LinearSimulator | None = None) -> Exact:
+    """Dense algebra over every single observation: ``y = m + A x + e`` with ``x = (v, w_1, ..., w_E)`` standard normal."""
+    simulator = simulator or LinearSimulator()
+    d, count = len(part.names), len(batch.experiments)
+    slopes = torch.stack([m.to_physical(tensor(1.0)) - m.to_physical(tensor(0.0)) for m in part.marginals])
+    start = part.parameters(part.mean)
+    observed, means, rows, noises = [], [], [], []
+    for e, shot in enumerate(batch.experiments):
+        frames = shot.times.shape[0]
+        design = tensor(*shot.design)
+        columns = simulator.columns(frames, design[0])[:, PARAMETERS.index(part.names)] * slopes[:, 0] @ part.chol
+        nuisance = torch.zeros(frames, 3 * count, dtype=torch.float64)
+        nuisance[:, 3 * e + 1] = simulator.time_slope * shot.nuisance.time_zero
+        nuisance[:, 3 * e + 2] = simulator.rest_slope * shot.design[1] * shot.nuisance.rest_radius
+        gap = (shot.times[:, None] - shot.times).abs()
+        tau = batch.noise.correlation_time
+        correlation = torch.exp(-gap / tau) if tau else torch.eye(frames, dtype=torch.float64)
+        for curve in shot.radius:
+            observed.append(curve)
+            means.append(simulator(start, design, shot.times).radius)
+            rows.append(torch.cat((columns, nuisance), dim=1))
+            noises.append((batch.noise.scale * batch.noise.floor) ** 2 * correlation)
+    y, m, A, R = torch.cat(observed), torch.cat(means), torch.cat(rows), torch.block_diag(*noises)
+    total = A @ A.mT + R
+    gain = A.mT @ torch.linalg.inv(total)
+    mean = gain @ (y - m)
+    covariance = torch.eye(A.shape[1], dtype=torch.float64) - gain @ A
+    residual = torch.linalg.solve(total, y - m) @ (y - m)
+    evidence = -0.5 * float(residual + torch.logdet(total) + len(y) * math.log(2.0 * math.pi))
+    return Exact(mean[:d], covariance[:d, :d], mean[d:].reshape(count, 3), evidence)

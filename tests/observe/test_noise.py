@@ -1,0 +1,204 @@
+"""The noise law: its formula, what it draws, and what a fit of it recovers."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from imr_torch.errors import InputDataError
+from imr_torch.observe import NUISANCES, Noise, Nuisance, displaced, fit_noise
+from imr_torch.observe.noise import _CORRELATION_TIMES
+from imr_torch.random import generator
+
+
+def tensor(*values) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def frames(count: int = 12, seed: int = 0) -> Tensor:
+    return torch.cumsum(0.02 + 0.1 * torch.rand(count, generator=generator(seed), dtype=torch.float64), 0)
+
+
+def curve(times: Tensor) -> Tensor:
+    return 0.6 + 0.4 * torch.cos(3.0 * times)
+
+
+def correlation(times: Tensor, tau: float) -> Tensor:
+    if tau == 0.0:
+        return torch.eye(len(times), dtype=torch.float64)
+    return torch.exp(-(times[:, None] - times).abs() / tau)
+
+
+LAWS = {
+    "published": Noise(),
+    "scaled": Noise(scale=2.5),
+    "correlated": Noise(correlation_time=0.15),
+    "flat, correlated": Noise(floor=0.03, slope=0.0, drift=0.0, correlation_time=0.4),
+}
+ALL = pytest.mark.parametrize("noise", LAWS.values(), ids=LAWS.keys())
+
+
+def test_that_the_published_law_is_a_fiftieth_of_the_deflection_and_a_160th_of_the_time() -> None:
+    """Chu, Estrada & Bryngelson (2024): ``|R* - 1|/50 + t*/160``, here with a floor of .002 in quadrature."""
+    sd = Noise().sd(tensor(1.0, 0.2, 1.1), tensor(0.0, 1.6, 3.2))
+    law = tensor(0.0, 0.8 / 50 + 0.01, 0.1 / 50 + 0.02)
+    torch.testing.assert_close(sd, (law.square() + 0.002**2).sqrt(), rtol=1e-14, atol=0.0)
+
+
+def test_that_scale_multiplies_and_the_floor_is_the_smallest() -> None:
+    radius, times = curve(frames()), frames()
+    torch.testing.assert_close(Noise(scale=3.0).sd(radius, times), 3.0 * Noise().sd(radius, times))
+    assert float(Noise(floor=0.01).sd(tensor(1.0), tensor(0.0))) == 0.01
+    assert bool((Noise(floor=0.01).sd(radius, times) > 0.01).all())
+
+
+@pytest.mark.parametrize("tau", [0.05, 0.4])
+def test_that_decorrelation_makes_the_correlation_the_identity(tau: float) -> None:
+    times = torch.stack([frames(seed=i) for i in range(3)])
+    mask = torch.ones_like(times, dtype=torch.bool)
+    mask[1, 8:] = False
+    factors = Noise(correlation_time=tau).decorrelation(times, mask)
+    assert factors is not None
+    assert torch.equal(factors, torch.tril(factors))
+    for i, factor in enumerate(factors):
+        kept = int(mask[i].sum())
+        whitened = factor[:kept, :kept] @ correlation(times[i, :kept], tau) @ factor[:kept, :kept].mT
+        torch.testing.assert_close(whitened, torch.eye(kept, dtype=torch.float64), rtol=0.0, atol=1e-12)
+        assert torch.equal(factor[kept:], torch.eye(12, dtype=torch.float64)[kept:])
+
+
+def test_that_independent_frames_need_no_decorrelation() -> None:
+    assert Noise().decorrelation(frames()[None], torch.ones(1, 12, dtype=torch.bool)) is None
+
+
+@ALL
+def test_that_a_draw_has_the_stated_mean_and_covariance(noise: Noise) -> None:
+    times, n = frames(), 40000
+    radius = curve(times)
+    draws = noise.draw(radius, times, n, generator=generator(3))
+    assert draws.shape == (n, 12)
+    standard = (draws - radius) / noise.sd(radius, times)
+    assert float(standard.mean(0).abs().max()) < 4.5 / n**0.5
+    empirical = standard.mT @ standard / n
+    torch.testing.assert_close(empirical, correlation(times, noise.correlation_time), rtol=0.0, atol=4.5 * (2.0 / n) ** 0.5)
+
+
+def test_that_repeats_are_independent_and_the_seed_decides() -> None:
+    times = frames()
+    noise = LAWS["correlated"]
+    one, same, other = (noise.draw(curve(times), times, 5000, generator=generator(seed)) for seed in (1, 1, 2))
+    assert torch.equal(one, same)
+    assert not torch.equal(one, other)
+    standard = (one - curve(times)) / noise.sd(curve(times), times)
+    assert float((standard[1:] * standard[:-1]).mean(0).abs().max()) < 4.5 / 5000**0.5
+
+
+@pytest.mark.parametrize("scale", [0.3, 1.0, 4.0])
+@pytest.mark.parametrize("tau", [0.0, 0.1, 0.28])
+def test_that_a_fit_recovers_scale_and_correlation(scale: float, tau: float) -> None:
+    """Forty curves of sixty frames; the answer lies on the grid of correlation times, at most one node off."""
+    noise = Noise(scale=scale, correlation_time=tau)
+    times = [0.03 * torch.arange(60, dtype=torch.float64) + 0.001 * i for i in range(40)]
+    truth = [curve(t) for t in times]
+    source = generator(7)
+    residuals = [noise.draw(r, t, 1, generator=source)[0] - r for r, t in zip(truth, times, strict=True)]
+    found = fit_noise(Noise(scale=77.0, correlation_time=0.02), residuals, truth, times)
+    nodes = _CORRELATION_TIMES
+    assert abs(nodes.index(found.correlation_time) - nodes.index(tau)) <= (tau > 0.0)
+    assert found.scale == pytest.approx(scale, rel=0.15 if tau else 0.06)
+    assert (found.floor, found.slope, found.drift) == (noise.floor, noise.slope, noise.drift)
+
+
+def test_that_the_fitted_law_is_the_most_likely_one_of_its_grid() -> None:
+    """By the multivariate normal density of the residuals under every correlation time, at its own best scale."""
+    times, noise = [frames(20, seed=i) for i in range(6)], Noise(scale=1.7, correlation_time=0.1)
+    truth = [curve(t) for t in times]
+    source = generator(5)
+    residuals = [noise.draw(r, t, 1, generator=source)[0] - r for r, t in zip(truth, times, strict=True)]
+    found = fit_noise(Noise(), residuals, truth, times)
+
+    def log_density(law: Noise) -> float:
+        total = 0.0
+        for e, r, t in zip(residuals, truth, times, strict=True):
+            sd = law.sd(r, t)
+            covariance = sd[:, None] * correlation(t, law.correlation_time) * sd
+            total += float(torch.distributions.MultivariateNormal(torch.zeros_like(e), covariance).log_prob(e))
+        return total
+
+    best = log_density(found)
+    for factor in (0.97, 1.03):
+        assert log_density(replace(found, scale=factor * found.scale)) < best
+    for tau in set(_CORRELATION_TIMES) - {found.correlation_time}:
+        for scale in torch.linspace(0.8, 3.0, 23).tolist():
+            assert log_density(Noise(scale=scale, correlation_time=tau)) < best
+
+
+def test_that_the_inputs_of_a_fit_are_not_changed() -> None:
+    times = [frames()]
+    residuals, predictions = [0.01 * torch.sin(9.0 * times[0])], [curve(times[0])]
+    copies = [x[0].clone() for x in (residuals, predictions, times)]
+    fit_noise(Noise(), residuals, predictions, times)
+    assert all(torch.equal(a[0], b) for a, b in zip((residuals, predictions, times), copies, strict=True))
+
+
+@pytest.mark.parametrize("name", ["scale", "floor"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
+def test_that_scale_and_floor_must_be_positive(name: str, value: float) -> None:
+    with pytest.raises(InputDataError, match=rf"Noise.{name} is {value}; expected a finite number > 0"):
+        Noise(**{name: value})
+
+
+@pytest.mark.parametrize("name", ["slope", "drift", "correlation_time"])
+@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
+def test_that_the_other_parts_must_not_be_negative(name: str, value: float) -> None:
+    with pytest.raises(InputDataError, match=rf"Noise.{name} is {value}; expected a finite number >= 0"):
+        Noise(**{name: value})
+    assert getattr(Noise(**{name: 0.0}), name) == 0.0
+
+
+# ---------------------------------------------------------------- nuisances
+
+
+def test_that_no_shift_displaces_nothing() -> None:
+    designs, times = tensor([500.0, 0.2], [900.0, 0.3]), frames()[None].repeat(2, 1)
+    moved, clock, factor = displaced(designs, times, torch.zeros(2, 3, dtype=torch.float64))
+    assert torch.equal(moved, designs)
+    assert torch.equal(clock, times)
+    assert torch.equal(factor, torch.ones(2, 1, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("shift", [(0.05, 0.0, 0.0), (0.0, 0.03, 0.0), (0.0, 0.0, -0.1), (-0.02, 0.04, 0.07)])
+def test_that_shifts_are_what_they_are_in_metres_and_seconds(shift: tuple[float, float, float]) -> None:
+    """The laboratory measured Rmax, R_inf and a clock; the bubble had ``Rmax (1+a)``, ``R_inf (1+c)`` and a start ``b`` early."""
+    top, rest, scale, speed = 3e-4, 6e-5, 2.0 * 0.056 / 101325.0, 9.777
+    measured_times = frames() * top / speed
+    true_top, true_rest = top * (1.0 + shift[0]), rest * (1.0 + shift[2])
+    designs, times, factor = displaced(tensor(top / scale, rest / top), frames(), tensor(*shift))
+    torch.testing.assert_close(designs, tensor(true_top / scale, true_rest / true_top), rtol=1e-12, atol=0.0)
+    expected = (measured_times + shift[1] * top / speed) * speed / true_top
+    torch.testing.assert_close(times, expected, rtol=1e-12, atol=0.0)
+    assert float(factor) == pytest.approx(true_top / top)
+
+
+def test_that_displacement_broadcasts_over_members_and_keeps_the_rest_radius_possible() -> None:
+    designs, times = tensor([500.0, 0.9], [900.0, 0.3]), frames()[None].repeat(2, 1)
+    shifts = torch.zeros(4, 2, 3, dtype=torch.float64)
+    shifts[0, 0, 2], shifts[1, 0, 2] = 0.5, -2.0
+    moved, clock, factor = displaced(designs, times, shifts)
+    assert (moved.shape, clock.shape, factor.shape) == ((4, 2, 2), (4, 2, 12), (4, 2, 1))
+    assert bool(((moved[..., 1] > 0.0) & (moved[..., 1] < 1.0)).all())
+    assert torch.equal(moved[2:], designs.expand(2, 2, 2))
+
+
+def test_that_standard_deviations_come_in_the_order_of_the_names() -> None:
+    nuisance = Nuisance(max_radius=0.1, time_zero=0.2, rest_radius=0.3)
+    assert nuisance.sds().tolist() == [getattr(nuisance, name) for name in NUISANCES]
+
+
+@pytest.mark.parametrize("name", NUISANCES)
+@pytest.mark.parametrize("value", [-0.1, 1.0, math.nan, math.inf])
+def test_that_an_impossible_nuisance_is_named(name: str, value: float) -> None:
+    with pytest.raises(InputDataError, match=rf"Nuisance.{name} is {value}; expected a standard deviation in \[0, 1\)"):
+        Nuisance(**{name: value})

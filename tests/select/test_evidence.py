@@ -1,0 +1,159 @@
+"""Evidence against its closed form for a linear simulator, its stated error against the scatter over seeds."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate
+from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.material import Belief
+from imr_torch.observe import ExperimentBatch, Nuisance
+from imr_torch.select import Evidence, evidences, log_evidence, update
+from tests.linear import CORRELATED, MEANS, MODELS, NOISE, SDS, LinearSimulator, exact, experiments, prior, tensor
+
+OPTIONS = EnsembleOptions(scouts=24)
+BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
+BATCHES = {
+    "one experiment": experiments(1),
+    "several": experiments(3),
+    "correlated noise": experiments(3, noise=CORRELATED),
+    "uncertain clock and rest radius": experiments(3, nuisance=BOTH),
+    "both, correlated": experiments(4, nuisance=BOTH, noise=CORRELATED),
+    "scaled noise": experiments(2, noise=replace(NOISE, scale=3.0)),
+}
+
+
+def fitted(batch: ExperimentBatch, belief: Belief | None = None) -> Assimilation:
+    return assimilate(belief or prior(), batch, LinearSimulator(), seed=1, options=OPTIONS)
+
+
+@pytest.fixture(scope="module")
+def simple() -> tuple[ExperimentBatch, ModelFit, float]:
+    batch, belief = experiments(3, nuisance=BOTH), prior(("nhkv",))
+    return batch, fitted(batch, belief).fits[0], exact(belief.models[0], batch).log_evidence
+
+
+@pytest.mark.parametrize("correlated", [False, True], ids=["standard prior", "correlated prior"])
+@pytest.mark.parametrize("batch", BATCHES.values(), ids=BATCHES.keys())
+def test_that_the_evidence_is_within_four_errors_of_its_closed_form(batch: ExperimentBatch, correlated: bool) -> None:
+    belief = prior(correlated=correlated)
+    for part, evidence in zip(
+        belief.models, evidences(fitted(batch, belief), LinearSimulator(), seed=3, samples=1024), strict=True
+    ):
+        assert evidence.model == part.model
+        assert evidence.error < 0.03
+        assert evidence.value == pytest.approx(exact(part, batch).log_evidence, abs=4.0 * evidence.error)
+        assert evidence.trusted
+        assert (evidence.samples, evidence.failed) == (1024, 0)
+
+
+@pytest.mark.parametrize("samples", [64, 1024])
+def test_that_the_stated_error_is_the_scatter_over_seeds(simple, samples: int) -> None:
+    batch, fit, truth = simple
+    runs = [log_evidence(fit, batch, LinearSimulator(), seed=seed, samples=samples) for seed in range(100)]
+    values, errors = tensor(*[r.value for r in runs]), tensor(*[r.error for r in runs])
+    scatter = float((values - truth).square().mean().sqrt())
+    assert scatter == pytest.approx(float(errors.square().mean().sqrt()), rel=0.3)
+    assert abs(float(values.mean()) - truth) < 4.0 * scatter / 10.0 + float(errors.mean()) ** 2
+
+
+def test_that_evidence_multiplies_over_batches_seen_in_turn() -> None:
+    """``p(y1, y2) = p(y1) p(y2 | y1)``, the second with the first one's posterior as prior."""
+    belief, batch = prior(("gen_qkv",)), experiments(4, nuisance=BOTH)
+    first, second = (ExperimentBatch(part, NOISE) for part in (batch.experiments[:2], batch.experiments[2:]))
+    start = fitted(first, belief)
+    middle = Belief((start.fits[0].posterior,), tensor(0.0))
+    parts = [log_evidence(start.fits[0], first, LinearSimulator(), seed=0, samples=2048)]
+    parts.append(log_evidence(fitted(second, middle).fits[0], second, LinearSimulator(), seed=0, samples=2048))
+    error = math.hypot(*(p.error for p in parts))
+    assert sum(p.value for p in parts) == pytest.approx(exact(belief.models[0], batch).log_evidence, abs=4.0 * error)
+
+
+def test_that_a_fit_off_its_mark_gives_the_same_evidence_with_a_larger_error(simple) -> None:
+    batch, fit, truth = simple
+    shifted = replace(fit, mean=fit.mean + fit.chol @ tensor(1.0, -1.0), chol=1.3 * fit.chol)
+    moved = (fit.nuisance_response @ (shifted.mean - fit.mean)[:, None])[..., 0]
+    shifted = replace(shifted, nuisances=fit.nuisances + moved)
+    good, off = (log_evidence(f, batch, LinearSimulator(), seed=5, samples=4096) for f in (fit, shifted))
+    assert off.value == pytest.approx(truth, abs=4.0 * off.error)
+    assert off.error > 1.5 * good.error
+    assert off.effective_samples < good.effective_samples
+
+
+def test_that_a_gaussian_that_misses_the_posterior_is_not_trusted(simple) -> None:
+    batch, fit, _ = simple
+    good = log_evidence(fit, batch, LinearSimulator(), seed=5)
+    wrong = log_evidence(replace(fit, mean=fit.mean + 12.0 * fit.chol[:, 0]), batch, LinearSimulator(), seed=5)
+    assert good.trusted
+    assert good.effective_samples > 0.5 * good.samples
+    assert not wrong.trusted
+
+
+def test_that_samples_that_fail_count_as_impossible_data(simple) -> None:
+    """A simulator that fails above the posterior mean of G halves the integral."""
+    batch, fit, truth = simple
+    limit = MEANS["G"] + SDS["G"] * float(fit.mean[0])
+    evidence = log_evidence(fit, batch, LinearSimulator(limit={"G": limit}), seed=2, samples=4096)
+    assert evidence.failed == pytest.approx(2048, abs=130)
+    assert evidence.value == pytest.approx(truth - math.log(2.0), abs=4.0 * evidence.error)
+
+
+def test_that_a_simulator_that_always_fails_is_a_convergence_error(simple) -> None:
+    batch, fit, _ = simple
+    with pytest.raises(ConvergenceError, match=r"nhkv: none of 256 evidence samples could be simulated"):
+        log_evidence(fit, batch, LinearSimulator(fails=True), seed=0)
+
+
+def test_that_evidence_depends_on_seed_and_model_alone(simple) -> None:
+    batch, fit, _ = simple
+    one, same, other = (log_evidence(fit, batch, LinearSimulator(), seed=seed) for seed in (1, 1, 2))
+    assert one == same
+    assert one.value != other.value
+    in_company = evidences(fitted(batch), LinearSimulator(), seed=1)[MODELS.index("nhkv")]
+    assert in_company.value == pytest.approx(one.value, abs=1e-6)
+
+
+def test_that_the_model_that_made_the_data_wins_and_the_extra_parameter_costs() -> None:
+    """The truth is NHKV, far from what a Newtonian liquid can show, and alpha has nothing to explain."""
+    batch = experiments(4)
+    logs = [exact(part, batch).log_evidence for part in prior().models]
+    found = [e.value for e in evidences(fitted(batch), LinearSimulator(), seed=1)]
+    assert max(range(3), key=logs.__getitem__) == max(range(3), key=found.__getitem__) == MODELS.index("nhkv")
+
+
+@pytest.mark.parametrize("odds", [(1.0, 1.0, 1.0), (0.98, 0.01, 0.01), (0.0, 0.5, 0.5)])
+def test_that_probabilities_follow_bayes_rule_over_models(odds: tuple[float, ...]) -> None:
+    batch = experiments(1)
+    belief = Belief(prior().models, tensor(*odds).log())
+    assimilation = fitted(batch, belief)
+    found = evidences(assimilation, LinearSimulator(), seed=1, samples=4096)
+    after = update(assimilation, found)
+    logs = belief.log_probabilities + tensor(*[exact(part, batch).log_evidence for part in belief.models])
+    expected = torch.softmax(logs, dim=0)
+    error = max(e.error for e in found)
+    torch.testing.assert_close(after.log_probabilities.exp(), expected, rtol=0.0, atol=4.0 * error)
+    for fit, part in zip(assimilation.fits, after.models, strict=True):
+        assert torch.equal(part.mean, fit.posterior.mean)
+        assert part.marginals == fit.prior.marginals
+    assert belief.probabilities == Belief(prior().models, tensor(*odds).log()).probabilities
+
+
+def made(model: str) -> Evidence:
+    return Evidence(model, 0.0, 0.1, 100.0, 256, 0)
+
+
+@pytest.mark.parametrize("models", [("nhkv", "newtonian", "gen_qkv"), ("newtonian", "nhkv"), ()])
+def test_that_evidence_of_other_models_is_refused(models: tuple[str, ...]) -> None:
+    with pytest.raises(
+        InputDataError, match=r"Evidence of .* does not match the belief over \['newtonian', 'nhkv', 'gen_qkv'\]"
+    ):
+        update(fitted(experiments(1)), [made(model) for model in models])
+
+
+@pytest.mark.parametrize(
+    ("effective", "samples", "trusted"), [(26.0, 256, True), (25.0, 256, False), (19.0, 64, False), (20.0, 64, True)]
+)
+def test_that_trust_needs_a_tenth_of_the_samples_and_twenty_of_them(effective: float, samples: int, trusted: bool) -> None:
+    assert Evidence("nhkv", 0.0, 0.1, effective, samples, 0).trusted == trusted
