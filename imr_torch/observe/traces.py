@@ -223,14 +223,16 @@ class TraceSet:
         return self.traces[key]
 
     def select(self, ids: Sequence[str]) -> "TraceSet":
-        """The traces named by ``ids``, in that order; the records of what was left out stay.
+        """The traces named by ``ids``, in that order, with the records of what was left out of them.
 
         Raises:
             InputDataError: if an id is not in the set.
         """
         chosen = tuple(self[name] for name in ([ids] if isinstance(ids, str) else ids))
+        kept = {trace.experiment_id for trace in chosen}
+        records = tuple(x for x in self.left_out if x.experiment_id in kept)
         note = f"Selected {len(chosen)} of {len(self)} experiments."
-        return TraceSet(chosen, self.left_out, (*self.notes, note))
+        return TraceSet(chosen, records, (*self.notes, note))
 
     def __add__(self, other: "TraceSet") -> "TraceSet":
         return TraceSet.join((self, other))

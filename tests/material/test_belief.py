@@ -125,6 +125,12 @@ def test_that_nothing_is_believed_outside_the_bounds(name: str, outside: float) 
     assert float(part.log_prob(values)) == -math.inf
 
 
+def test_that_a_scale_of_zero_is_impossible_under_a_log_normal() -> None:
+    part = prior()["newtonian"]
+    assert part.marginals == (LogNormal(0.1, 1.5),)
+    assert float(part.log_prob(tensor(0.0))) == -math.inf
+
+
 def test_that_the_density_at_a_bound_is_the_limit_from_inside() -> None:
     """A truncated normal is not zero at its bound: a gel with ``alpha = 0`` exactly is a gel that may exist."""
     part = prior()["gen_qkv"]
@@ -336,6 +342,7 @@ EYE = torch.eye(2, dtype=torch.float64)
             r"mean must be finite and the diagonal of chol positive",
         ),
         (lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), -EYE), r"diagonal of chol positive"),
+        (lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), tensor([1.0, 0.9], [0.0, 1.0])), r"lower triangular"),
         (lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), EYE, {"G": 1.0}), r"needs known .*nothing, got \['G'\]"),
         (lambda: Belief.from_dict({}), r"Expected a document of the format 'imr_torch belief 1', got None"),
         (lambda: Belief.from_dict(document(format="other")), r"got 'other'"),
@@ -372,6 +379,25 @@ def test_that_a_file_that_is_no_belief_is_named(tmp_path: Path, text: str | None
 def test_that_json_of_another_kind_is_an_input_error(tmp_path: Path, text: str) -> None:
     path = tmp_path / "belief.json"
     path.write_text(text)
+    with pytest.raises(InputDataError):
+        Belief.load(path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"log_probabilities": [0.0, 1.0, 2.0]},
+        {"log_probabilities": ["likely"]},
+        {"models": 3},
+        {"models": [3]},
+        {"models": [document()["models"][0] | {"chol": [[1.0, 2.0]]}]},
+        {"models": [document()["models"][0] | {"marginals": [3, 4]}]},
+    ],
+    ids=["too many probabilities", "words", "a number", "numbers", "half a matrix", "no marginals"],
+)
+def test_that_a_belief_with_a_part_of_another_kind_is_an_input_error(tmp_path: Path, changes: dict) -> None:
+    path = tmp_path / "belief.json"
+    path.write_text(json.dumps(document(**changes)))
     with pytest.raises(InputDataError):
         Belief.load(path)
 

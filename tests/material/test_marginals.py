@@ -123,8 +123,6 @@ def test_that_the_moments_are_scipys(case: Case) -> None:
 
         return quad(integrand, -12.0, 12.0, epsabs=0.0, epsrel=1e-10, limit=400)[0]
 
-    if isinstance(case.marginal, LogNormal) and case.marginal.factor > 2.0:
-        pytest.skip("the second moment lies beyond 12 standard deviations of the quadrature")
     mean = moment(1)
     assert mean == pytest.approx(case.law.mean(), rel=1e-8)
     assert moment(2) == pytest.approx(case.law.var() + case.law.mean() ** 2, rel=1e-8)

@@ -59,7 +59,15 @@ def test_that_the_log_likelihood_is_the_normal_density_of_all_repeats_and_frames
         for j in range(3):
             for e, shot in enumerate(batch.experiments):
                 expected = dense(noise, shot, predicted[i, j, e, : len(shot.times)])
-                assert float(found[i, j, e]) == pytest.approx(expected, rel=1e-11)
+                assert float(found[i, j, e]) == pytest.approx(expected, rel=1e-8)
+
+
+def test_that_the_constant_of_the_normal_density_has_all_its_digits() -> None:
+    """Data on the prediction with unit noise: what is left is ``-n/2 log 2 pi``, and no float32 in it."""
+    shot = Experiment("x", (500.0, 0.2), torch.arange(50, dtype=torch.float64), torch.ones(20, 50, dtype=torch.float64))
+    batch = ExperimentBatch((shot,), Noise(floor=1.0, slope=0.0, drift=0.0))
+    found = float(batch.log_likelihood(torch.ones(1, 50, dtype=torch.float64)))
+    assert found == pytest.approx(-500.0 * math.log(2.0 * math.pi), rel=1e-14)
 
 
 @ALL

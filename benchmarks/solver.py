@@ -1,0 +1,121 @@
+"""Speed and accuracy of the simulators: process CPU time, one thread, medians over repeats.
+
+  python benchmarks/solver.py [--json OUT] [--repeats 5] [--device cpu]
+
+Bubbles are drawn from the prior of the stiff-PA reference case, designs uniformly from We 100-1000 and R_inf* .14-.30, with
+81 samples of t* in [0, 4]. Errors are against the same solver at a third of the step. Beside them, in the same run, what a
+user would do without this package: torchdiffeq's dopri5 with one step for the batch, and a SciPy LSODA loop.
+"""
+
+import argparse
+import json
+import resource
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.integrate import solve_ivp
+from torchdiffeq import odeint
+
+from imr_torch.files import write_json
+from imr_torch.material import reference_case
+from imr_torch.simulate import STEPPINGS, PolytropicSimulator, Stepping
+from imr_torch.simulate.wall import PolytropicBubble
+
+TIMES = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
+
+
+def draws(count: int, device: str) -> tuple[torch.Tensor, torch.Tensor]:
+    """Parameters ``count x p`` and designs ``count x 2`` of the benchmark."""
+    parameters = reference_case("stiff-pa").prior.sample(count, seed=0).parameters
+    unit = torch.rand(count, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    low, high = torch.tensor([[100.0, 0.14], [1000.0, 0.30]], dtype=torch.float64)
+    return parameters.to(device), (low + (high - low) * unit).to(device)
+
+
+def cpu_seconds(work: Callable[[], Any], repeats: int) -> float:
+    """Median process CPU time of ``work`` after one warm-up."""
+    work()
+    taken = []
+    for _ in range(repeats):
+        started = time.process_time()
+        work()
+        taken.append(time.process_time() - started)
+    return float(np.median(taken))
+
+
+def accuracy(stepping: Stepping, count: int, device: str) -> tuple[float, float]:
+    """Median and largest over bubbles of the largest error in R*."""
+    parameters, designs = draws(count, device)
+    fine = Stepping(stepping.step / 3.0, max_steps=10 * stepping.max_steps)
+    reference = PolytropicSimulator(stepping=fine)(parameters, designs, TIMES.to(device)).radius
+    error = (PolytropicSimulator(stepping=stepping)(parameters, designs, TIMES.to(device)).radius - reference).abs().amax(1)
+    return float(error.median()), float(error.max())
+
+
+def plain_dopri5(count: int) -> Callable[[], Any]:
+    """The same bubbles by torchdiffeq with one adaptive step for the whole batch."""
+    parameters, designs = draws(count, "cpu")
+    bubble = PolytropicBubble.of(parameters, designs, PolytropicSimulator().conditions)
+
+    def rate(_: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
+        return torch.stack((state[1], bubble.acceleration(state[0], state[1])[0]))
+
+    start = torch.stack((torch.ones(count, dtype=torch.float64), torch.zeros(count, dtype=torch.float64)))
+    return lambda: odeint(rate, start, TIMES, method="dopri5", rtol=1e-5, atol=1e-7)
+
+
+def scipy_loop(count: int) -> Callable[[], Any]:
+    """The same bubbles one by one with SciPy."""
+    parameters, designs = draws(count, "cpu")
+    singles = [
+        PolytropicBubble.of(p[None], d[None], PolytropicSimulator().conditions)
+        for p, d in zip(parameters, designs, strict=True)
+    ]
+
+    def solve(bubble: PolytropicBubble) -> None:
+        def rate(_: float, state: np.ndarray) -> list[float]:
+            radius, velocity = torch.from_numpy(state)[:, None]
+            return [float(state[1]), float(bubble.acceleration(radius, velocity)[0])]
+
+        solve_ivp(rate, (0.0, 4.0), [1.0, 0.0], method="LSODA", t_eval=TIMES.numpy(), rtol=1e-6, atol=1e-8)
+
+    return lambda: [solve(bubble) for bubble in singles]
+
+
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", metavar="OUT")
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--device", default="cpu")
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    result: dict[str, float] = {}
+    for name, stepping in STEPPINGS.items():
+        parameters, designs = draws(1000, args.device)
+        simulator = PolytropicSimulator(stepping=stepping)
+        seconds = cpu_seconds(lambda s=simulator, p=parameters, d=designs: s(p, d, TIMES.to(args.device)), args.repeats)
+        median, largest = accuracy(stepping, 1000, args.device)
+        result |= {f"polytropic_1000_ms_{name}": seconds, f"median_dr_{name}": median, f"max_dr_{name}": largest}
+    for count in (1, 48, 10000):
+        parameters, designs = draws(count, args.device)
+        simulator = PolytropicSimulator()
+        seconds = cpu_seconds(lambda s=simulator, p=parameters, d=designs: s(p, d, TIMES.to(args.device)), args.repeats)
+        result[f"polytropic_{count}_ms"] = 1e3 * seconds / count
+    result["polytropic_1000_ms"] = result["polytropic_1000_ms_default"]
+    try:
+        result["dopri5_48_ms"] = 1e3 * cpu_seconds(plain_dopri5(48), 1) / 48
+    except AssertionError as error:  # torchdiffeq's word for a step that shrank to nothing
+        print(f"plain dopri5 with one step for 48 bubbles fails: {error}")
+    result["scipy_lsoda_ms"] = 1e3 * cpu_seconds(scipy_loop(10), 1) / 10
+    result["peak_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(json.dumps(result, indent=1))
+    if args.json:
+        write_json(args.json, result)
+
+
+if __name__ == "__main__":
+    main()
