@@ -98,6 +98,7 @@ def assimilate(
     search = _Search(belief, batch, simulator, options, seed)
     for iteration in range(options.iterations):
         search.iterate()
+        search.settle()
         search.restart()
         if progress:
             progress(f"assimilation: iteration {iteration + 1}, {search.report()}")
@@ -273,6 +274,15 @@ class _Search:
         self.spread[stuck] *= 0.1
         self.damping[stuck] = 1e-2
 
+    def settle(self) -> None:
+        """Let the other starts of a model rest once its best one has converged and a second agrees with it."""
+        for model in range(len(self.belief.models)):
+            rows = torch.nonzero(self.model == model)[:, 0]
+            agree = self.cost[rows] < self.cost[rows].min() + self.options.agreement
+            sure = agree & (self.gradient[rows] < self.options.gradient) & self.finished[rows]
+            if int(sure.sum()) >= 2:
+                self.finished[rows] = True
+
     def restart(self) -> None:
         """Once per model: search again near its best point where the starts ended in different minima."""
         for model in range(len(self.belief.models)):
@@ -301,11 +311,12 @@ class _Search:
     def fit(self, model: int) -> ModelFit:
         """The best start of a model, with its certificate."""
         rows = torch.nonzero(self.model == model)[:, 0]
-        rows = rows[torch.argsort(self.cost[rows])]
-        best, part = int(rows[0]), self.belief.models[model]
+        costs = self.cost[rows].sort().values
+        agreement = float(costs[1] - costs[0])
+        same = rows[self.cost[rows] <= costs[0] + self.options.agreement]  # of equals, the one that converged furthest
+        best, part = int(same[self.gradient[same].argmin()]), self.belief.models[model]
         equations = self.equations[best]
         assert equations is not None
-        agreement = float(self.cost[rows[1]] - self.cost[best])
         gradient = float(self.gradient[best])
         certificate = Certificate(
             gradient,
@@ -315,7 +326,8 @@ class _Search:
             gradient < self.options.gradient and agreement < self.options.agreement,
         )
         free = len(part.names)
-        _, prediction = self._cost(self.model[rows[:1]], self.gel[rows[:1]], self.nuisances[rows[:1]])
+        one = slice(best, best + 1)
+        _, prediction = self._cost(self.model[one], self.gel[one], self.nuisances[one])
         return ModelFit(
             prior=part,
             mean=self.gel[best, :free],

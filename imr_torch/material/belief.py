@@ -61,8 +61,11 @@ class ModelBelief:
                 f"Model {self.model!r}: expected mean of shape ({d},) and chol of ({d}, {d}), "
                 f"got {tuple(self.mean.shape)} and {tuple(self.chol.shape)}."
             )
-        if not (bool(torch.isfinite(self.mean).all()) and bool((self.chol.diagonal() > 0.0).all())):
-            raise InputDataError(f"Model {self.model!r}: mean must be finite and the diagonal of chol positive.")
+        triangular = torch.equal(self.chol, self.chol.tril())
+        if not (bool(torch.isfinite(self.mean).all()) and triangular and bool((self.chol.diagonal() > 0.0).all())):
+            raise InputDataError(
+                f"Model {self.model!r}: mean must be finite, and chol lower triangular with the diagonal of chol positive."
+            )
 
     @property
     def material(self) -> Material:
@@ -110,7 +113,7 @@ class ModelBelief:
         inside = ((values >= bounds[:, 0]) & (values <= bounds[:, 1])).all(-1)
         controls = self.to_controls(torch.where(inside[..., None], values, self.physical(self.mean)))
         slopes = sum(m.log_slope(controls[..., i]) for i, m in enumerate(self.marginals))
-        return torch.where(inside, self.log_prob_controls(controls) - slopes, -math.inf)
+        return torch.where(inside, self.log_prob_controls(controls) - slopes, -math.inf).nan_to_num(nan=-math.inf)
 
     def quantile(self, levels: Sequence[float] | Tensor) -> Tensor:
         """Quantiles of each marginal: ``levels`` (n) to ``n x d``, SI. Exact, since each map is monotone."""
@@ -149,6 +152,16 @@ class ModelBelief:
     def with_gaussian(self, mean: Tensor, chol: Tensor) -> "ModelBelief":
         """The same maps with another Gaussian of the controls."""
         return replace(self, mean=mean, chol=chol)
+
+
+def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
+    """One model's part of a saved belief."""
+    if tuple(entry["names"]) != material(entry["model"]).free:
+        raise InputDataError(f"Saved parameters {entry['names']} are not those of {entry['model']!r}.")
+    mean = torch.tensor(entry["mean"], dtype=torch.float64)
+    chol = torch.tensor(entry["chol"], dtype=torch.float64).reshape(len(mean), len(mean))
+    marginals = tuple(marginal_from_dict(m) for m in entry["marginals"])
+    return ModelBelief(entry["model"], marginals, mean, chol, dict(entry["known"]))
 
 
 @dataclass(frozen=True)
@@ -298,18 +311,16 @@ class Belief:
         found = document.get("format") if isinstance(document, Mapping) else type(document).__name__
         if found != "imr_torch belief 1":
             raise InputDataError(f"Expected a document of the format 'imr_torch belief 1', got {found!r}.")
-        parts = []
-        for entry in document["models"]:
-            if tuple(entry["names"]) != material(entry["model"]).free:
-                raise InputDataError(f"Saved parameters {entry['names']} are not those of {entry['model']!r}.")
-            mean = torch.tensor(entry["mean"], dtype=torch.float64)
-            chol = torch.tensor(entry["chol"], dtype=torch.float64).reshape(len(mean), len(mean))
-            marginals = tuple(marginal_from_dict(m) for m in entry["marginals"])
-            parts.append(ModelBelief(entry["model"], marginals, mean, chol, entry["known"]))
-        logs = [-math.inf if v is None else v for v in document["log_probabilities"]]
-        belief = cls.__new__(cls)  # as saved: normalising twice would change the last bit
-        object.__setattr__(belief, "models", tuple(parts))
-        object.__setattr__(belief, "log_probabilities", torch.tensor(logs, dtype=torch.float64))
+        try:
+            parts = tuple(_part_from_dict(entry) for entry in document["models"])
+            logs = [-math.inf if v is None else float(v) for v in document["log_probabilities"]]
+            log_probabilities = torch.tensor(logs, dtype=torch.float64)
+            belief = cls(parts, log_probabilities)
+        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            if isinstance(error, InputDataError):
+                raise
+            raise InputDataError(f"The document is not a whole belief ({type(error).__name__}: {error}).") from None
+        object.__setattr__(belief, "log_probabilities", log_probabilities)  # normalising twice would change the last bit
         return belief
 
     def save(self, path: str | Path) -> None:
@@ -325,5 +336,3 @@ class Belief:
             return cls.from_dict(document)
         except (OSError, UnicodeDecodeError, json.JSONDecodeError, InputDataError) as error:
             raise InputDataError(f"{path}: not a saved belief ({error}).") from None
-        except KeyError as error:
-            raise InputDataError(f"{path}: not a saved belief (its entry {error} is missing).") from None
