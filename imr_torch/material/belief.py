@@ -64,7 +64,7 @@ class ModelBelief:
         triangular = torch.equal(self.chol, self.chol.tril())
         if not (bool(torch.isfinite(self.mean).all()) and triangular and bool((self.chol.diagonal() > 0.0).all())):
             raise InputDataError(
-                f"Model {self.model!r}: mean must be finite, and chol lower triangular with the diagonal of chol positive."
+                f"Model {self.model!r}: mean must be finite and the diagonal of chol positive, with chol lower triangular."
             )
 
     @property
@@ -113,7 +113,8 @@ class ModelBelief:
         inside = ((values >= bounds[:, 0]) & (values <= bounds[:, 1])).all(-1)
         controls = self.to_controls(torch.where(inside[..., None], values, self.physical(self.mean)))
         slopes = sum(m.log_slope(controls[..., i]) for i, m in enumerate(self.marginals))
-        return torch.where(inside, self.log_prob_controls(controls) - slopes, -math.inf).nan_to_num(nan=-math.inf)
+        density = self.log_prob_controls(controls) - slopes
+        return torch.where(inside & ~torch.isnan(density), density, -math.inf)
 
     def quantile(self, levels: Sequence[float] | Tensor) -> Tensor:
         """Quantiles of each marginal: ``levels`` (n) to ``n x d``, SI. Exact, since each map is monotone."""
