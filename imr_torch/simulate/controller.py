@@ -1,0 +1,56 @@
+"""How long a step may be: an error estimate scaled to what matters, and the usual step-size rule.
+
+The largest of the scaled errors of ``R``, ``U``, ``P`` and of the fields (root mean square, at a lower weight) must stay
+below the tolerance; steps then change by ``0.8 err^(-1/4)`` (Hairer & Wanner 1996, section IV.8).
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+_SAFETY, _SHRINK, _GROW = 0.8, 0.1, 3.0
+_FIELD_WEIGHT = 0.3
+
+
+@dataclass(frozen=True)
+class Controller:
+    """Step sizes from error estimates.
+
+    Args:
+        tolerance: relative error allowed in a step.
+        first: first step of every member.
+        order: the inverse of the exponent.
+    """
+
+    tolerance: float
+    first: float = 1e-3
+    order: int = 4
+
+    def error(self, before: Tensor, after: Tensor, error: Tensor, inside: int) -> Tensor:
+        """Scaled error of a step, a ``B`` tensor that is at most 1 for a step to be accepted; infinite or NaN if it failed.
+
+        Args:
+            before: ``nx x B`` tensor, the state before the step.
+            after: the state after it.
+            error: its estimated error.
+            inside: nodes inside the bubble.
+        """
+        radius, pressure = after[0], after[2]
+        speed = after[1].abs() + 0.1 * torch.sqrt(1.0 + pressure.abs())
+        head = error[:3].abs() / torch.stack((radius, speed, pressure))
+        heat, vapour, gel = error[4:].split((inside, inside, error.shape[0] - 4 - 2 * inside))
+        hottest = 0.1 + torch.maximum(before[4 : 4 + inside].abs().amax(0), after[4 : 4 + inside].abs().amax(0))
+        warmest = 0.01 + after[3].abs()
+        fields = torch.stack((_rms(heat) / hottest, _rms(vapour), _rms(gel) / warmest))
+        scaled = torch.maximum(head.amax(0), _FIELD_WEIGHT * fields.amax(0)) / self.tolerance
+        return torch.where((radius > 0.0) & (pressure > 0.0), scaled, torch.inf)
+
+    def factor(self, error: Tensor) -> Tensor:
+        """What to multiply the step by."""
+        factor = _SAFETY * error ** (-1.0 / self.order)
+        return torch.where(torch.isfinite(error), factor.clamp(_SHRINK, _GROW), _SHRINK)
+
+
+def _rms(values: Tensor) -> Tensor:
+    return values.square().mean(0).sqrt()
