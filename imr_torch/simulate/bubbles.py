@@ -6,6 +6,7 @@ constants and latent heat are scaled by ``U_c^2``, conductivities by ``K_inf = K
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -80,7 +81,6 @@ def far_conductivity(conditions: Conditions) -> float:
 
 
 _NAMES = ("weber", "rest_radius", "start", "chi", "fom", "foh", "heating")
-_ROW = {name: i for i, name in enumerate(_NAMES)}
 
 
 @dataclass(frozen=True)
@@ -129,9 +129,13 @@ class Bubbles:
         return replace(self, numbers=self.numbers[:, members])
 
     def __getitem__(self, name: str) -> Tensor:
-        return self.numbers[_ROW[name]]
+        return self._rows[name]
 
-    @property
+    @cached_property
+    def _rows(self) -> dict[str, Tensor]:
+        return dict(zip(_NAMES, self.numbers, strict=False))
+
+    @cached_property
     def theta(self) -> dict[str, Tensor]:
         """Dimensionless material parameters, each a ``B`` tensor."""
         return dict(zip(PARAMETERS.names, self.numbers[len(_NAMES) :], strict=True))

@@ -7,10 +7,9 @@ J. Acoust. Soc. Am. 68, 1980; Estrada et al. 2018, eq. 4); ``q = dp_b/dt`` is gi
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
-from imr_torch.material import Stress, stress_integral
+from imr_torch.material import Stress, stress_integral, stress_slopes
 from imr_torch.simulate.bubbles import Bubbles
 
 
@@ -35,7 +34,9 @@ def acceleration_slope(
     bubbles: Bubbles, radius: Tensor, velocity: Tensor, pressure: Tensor, pressure_rate: Tensor
 ) -> tuple[Tensor, WallSlope]:
     """``U'`` and its derivatives; arguments as in :func:`acceleration`."""
-    stress, by_radius, by_velocity = _stress_slopes(bubbles, radius, velocity)
+    gel = (bubbles.terms, radius, velocity, bubbles["rest_radius"], bubbles.theta)
+    stress, slopes = stress_integral(*gel), stress_slopes(*gel)
+    by_radius, by_velocity = slopes.radius, slopes.velocity
     force, inertia, load = _balance(bubbles, stress, radius, velocity, pressure, pressure_rate)
     slowness = 1.0 / bubbles.constants.sound_speed
     mach, delay = velocity * slowness, radius * slowness
@@ -79,19 +80,3 @@ def _balance(
     if bubbles.constants.stress_acceleration:
         inertia = inertia - delay * stress.acceleration
     return force, inertia, load
-
-
-def _stress_slopes(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> tuple[Stress, Stress, Stress]:
-    """The stress integral and its derivatives in ``R`` and ``U``, by forward differentiation of whatever terms act.
-
-    Both directions go through one evaluation, on a batch of two copies.
-    """
-
-    def stress(radius: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        total = stress_integral(bubbles.terms, radius, velocity, bubbles["rest_radius"], bubbles.theta)
-        return total.value, total.rate, total.acceleration
-
-    one, zero = torch.ones_like(radius), torch.zeros_like(radius)
-    points = (radius.repeat(2, 1), velocity.repeat(2, 1))
-    values, slopes = torch.func.jvp(stress, points, (torch.stack((one, zero)), torch.stack((zero, one))))
-    return Stress(*(v[0] for v in values)), Stress(*(s[0] for s in slopes)), Stress(*(s[1] for s in slopes))
