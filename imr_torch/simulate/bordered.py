@@ -1,7 +1,7 @@
 """Linear systems of the implicit step: three small dense blocks, bordered by the five numbers that couple them.
 
 Temperature in the bubble (``tau``), vapour (``C``, driven by ``tau``) and temperature in the gel (``theta``) see each
-other only through the border ``z = (R, U, P, q, tau_w)``, with ``q = dP/dt`` as an extra unknown. Eliminating the fields
+other only through the border ``z = (R, U, p, q, tau_w)``, with ``p = ln P`` and ``q = dp/dt`` as an extra unknown. Eliminating the fields
 leaves two equations for ``(q, tau_w)`` a member, so a factorisation costs three inverses of the size of one field.
 """
 
@@ -15,7 +15,7 @@ from torch import Tensor
 class Jacobian:
     """The derivative of the right-hand side in its structured form; see :mod:`imr_torch.simulate.rhs`.
 
-    Border columns are in the order (R, U, P, q, tau_w); ``G = 2`` fields live inside, ``tau`` and ``C``.
+    Border columns are in the order (R, U, p, q, tau_w); ``G = 2`` fields live inside, ``tau`` and ``C``.
 
     Args:
         inside: ``n x n x 2 x B`` tensor, ``d tau_t/d tau`` and ``d C_t/d C``.
@@ -24,7 +24,7 @@ class Jacobian:
         outside_border: ``m x 5 x B`` tensor.
         coupling_slope: ``n x B`` tensor, factor of ``d/dy tau`` in ``C_t``.
         coupling: ``n x B`` tensor, factor of ``tau`` in ``C_t``.
-        velocity_row: ``4 x B`` tensor, ``dU'`` in (R, U, P, q).
+        velocity_row: ``4 x B`` tensor, ``dU'`` in (R, U, p, q).
         pressure_row: ``5 x B`` tensor, ``q`` in the border (0 for itself).
         wall_row: ``5 x B`` tensor, the wall's heat balance in the border.
         pressure_slopes: ``2 x B`` tensor, ``q`` in the slopes of ``tau`` and ``C`` at the wall.
@@ -100,7 +100,7 @@ class Factors:
         self._w_row = -(j.wall_row + j.wall_slopes[0] * heat + j.wall_slopes[1] * vapour_slope + j.wall_slopes[2] * gel)
 
     def _eliminate(self) -> None:
-        """Take R, U and P out of the border; the 2 x 2 system in (q, tau_w) remains."""
+        """Take R, U and p out of the border; the 2 x 2 system in (q, tau_w) remains."""
         step = self._shift.reciprocal()
         by_radius, by_velocity, by_pressure, by_rate = self._jacobian.velocity_row
         self._step = step
@@ -129,7 +129,7 @@ class Factors:
         return solution
 
     def _solve_border(self, right: Tensor, fields: Tensor, gel: Tensor) -> Tensor:
-        """(R, U, P, q, tau_w), ``5 x B``."""
+        """(R, U, p, q, tau_w), ``5 x B``."""
         j, q, w = self._jacobian, self._q_row, self._w_row
         heat = (self._inside_rows[:, 0] * fields[0]).sum(0)
         vapour = (self._inside_rows[:, 1] * fields[1]).sum(0) + (self._heat_to_vapour * fields[0]).sum(0)

@@ -1,7 +1,7 @@
 """How long a step may be: an error estimate scaled to what matters, and the usual step-size rule.
 
-The largest of the scaled errors of ``R``, ``U``, ``P`` and of the fields (root mean square, at a lower weight) must stay
-below the tolerance; steps then change by ``0.8 err^(-1/4)`` (Hairer & Wanner 1996, section IV.8).
+The largest of the scaled errors of ``R``, ``U``, ``ln P`` and of the fields (root mean square, temperatures at a lower
+weight) must stay below the tolerance; steps then change by ``0.8 err^(-1/4)`` (Hairer & Wanner 1996, section IV.8).
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 _SAFETY, _SHRINK, _GROW = 0.8, 0.1, 3.0
-_FIELD_WEIGHT = 0.3
+_HEAT_WEIGHT = 0.3
 
 
 @dataclass(frozen=True)
@@ -36,15 +36,22 @@ class Controller:
             error: its estimated error.
             inside: nodes inside the bubble.
         """
-        radius, pressure = after[0], after[2]
-        speed = after[1].abs() + 0.1 * torch.sqrt(1.0 + pressure.abs())
-        head = error[:3].abs() / torch.stack((radius, speed, pressure))
+        radius = after[0]
+        speed = after[1].abs() + 0.1 * torch.sqrt(1.0 + torch.exp(after[2]))
         heat, vapour, gel = error[4:].split((inside, inside, error.shape[0] - 4 - 2 * inside))
         hottest = 0.1 + torch.maximum(before[4 : 4 + inside].abs().amax(0), after[4 : 4 + inside].abs().amax(0))
         warmest = 0.01 + after[3].abs()
-        fields = torch.stack((_rms(heat) / hottest, _rms(vapour), _rms(gel) / warmest))
-        scaled = torch.maximum(head.amax(0), _FIELD_WEIGHT * fields.amax(0)) / self.tolerance
-        return torch.where((radius > 0.0) & (pressure > 0.0), scaled, torch.inf)
+        scaled = torch.stack(
+            (
+                error[0].abs() / radius,
+                error[1].abs() / speed,
+                error[2].abs(),
+                _HEAT_WEIGHT * _rms(heat) / hottest,
+                _rms(vapour),
+                _HEAT_WEIGHT * _rms(gel) / warmest,
+            )
+        )
+        return torch.where(radius > 0.0, scaled.amax(0) / self.tolerance, torch.inf)
 
     def factor(self, error: Tensor) -> Tensor:
         """What to multiply the step by."""

@@ -1,7 +1,8 @@
 """The exact derivative of the right-hand side, in the structured form that the implicit step solves.
 
 Derived by hand from :mod:`imr_torch.simulate.rhs` and tested against automatic differentiation. The rate of pressure ``q``
-is kept as an unknown of its own: without it the fields would be coupled densely through it.
+is kept as an unknown of its own: without it the fields would be coupled densely through it. Derivatives are first taken in
+``P`` and ``q``, and turned to ``ln P`` and ``d ln P/dt`` at the end.
 """
 
 from dataclasses import dataclass
@@ -47,6 +48,15 @@ def linearise(equations: Equations, f: Fields) -> tuple[Tensor, Jacobian]:
     inside, inside_border, coupling_slope = _inside(equations, f, s)
     outside, outside_border = _outside(equations, f)
     pressure_row, wall_row, pressure_slopes, wall_slopes = _wall_rows(equations, f)
+    p, g = f.pressure, f.rate / f.pressure
+    for border in (inside_border, outside_border):
+        _to_logarithm(border, p, g)
+    _to_logarithm(wall_row[None], p, g)
+    velocity_row = torch.stack((slope.radius, slope.velocity, slope.pressure, slope.pressure_rate))
+    _to_logarithm(velocity_row[None], p, g)
+    _to_logarithm(pressure_row[None], p, g)
+    pressure_row /= p
+    pressure_row[2] -= g
     return rate, Jacobian(
         inside=inside,
         outside=outside,
@@ -54,12 +64,18 @@ def linearise(equations: Equations, f: Fields) -> tuple[Tensor, Jacobian]:
         outside_border=outside_border,
         coupling_slope=coupling_slope,
         coupling=s.diffusivity * f.slopes[1:, 1] * s.warming * s.product_slope,
-        velocity_row=torch.stack((slope.radius, slope.velocity, slope.pressure, slope.pressure_rate)),
+        velocity_row=velocity_row,
         pressure_row=pressure_row,
         wall_row=wall_row,
-        pressure_slopes=pressure_slopes,
+        pressure_slopes=pressure_slopes / p,
         wall_slopes=wall_slopes,
     )
+
+
+def _to_logarithm(border: Tensor, pressure: Tensor, log_rate: Tensor) -> None:
+    """Turn derivatives in ``P`` and ``q = dP/dt``, columns 2 and 3, into those in ``ln P`` and ``d ln P/dt``, in place."""
+    border[:, 2] = pressure * (border[:, 2] + log_rate * border[:, 3])
+    border[:, 3] *= pressure
 
 
 def _inside(equations: Equations, f: Fields, s: _Inside) -> tuple[Tensor, Tensor, Tensor]:

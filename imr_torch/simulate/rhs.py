@@ -1,6 +1,6 @@
 """The right-hand side of a conducting, evaporating bubble; its derivative is in :mod:`imr_torch.simulate.linearise`.
 
-State of a member, in this order: ``R``, ``U``, ``P`` (pressure of the contents), ``tau_w``, ``tau`` at ``n`` nodes inside,
+State of a member, in this order: ``R``, ``U``, ``ln P`` (pressure of the contents; its logarithm is what changes evenly), ``tau_w``, ``tau`` at ``n`` nodes inside,
 ``C`` at the same, ``theta = T_m - 1`` at ``m`` nodes outside. ``tau`` is the Kirchhoff temperature, ``d tau = K*(T) dT``;
 ``C`` the mass fraction of vapour. ``tau_w`` at the wall is algebraic: its row of the right-hand side is the wall's balance
 of heat, which must vanish. Equations: Estrada et al. (J. Mech. Phys. Solids 112, 2018), eqs. 4-18 and appendix A.
@@ -16,7 +16,7 @@ from imr_torch.simulate.grids import Grid
 from imr_torch.simulate.motion import acceleration
 
 HEAD = 4
-"""Rows of the state before the fields: R, U, P, tau_w."""
+"""Rows of the state before the fields: R, U, ln P, tau_w."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Equations:
         """The state at maximum radius: at rest, at the far temperature, vapour in equilibrium; ``(4+2n+m) x B``."""
         pressure = self.bubbles["start"]
         state = pressure.new_zeros(HEAD + 2 * self.n + self.m, len(self.bubbles))
-        state[0], state[2] = 1.0, pressure
+        state[0], state[2] = 1.0, pressure.log()
         state[HEAD + self.n : HEAD + 2 * self.n] = self._wall(
             pressure, torch.ones_like(pressure), torch.ones_like(pressure)
         ).vapour
@@ -128,7 +128,7 @@ class Equations:
     def fields(self, state: Tensor) -> Fields:
         """Temperatures, slopes and the pressure's rate at a state."""
         c, n = self.bubbles.constants, self.n
-        radius, velocity, pressure = state[0], state[1], state[2]
+        radius, velocity, pressure = state[0], state[1], torch.exp(state[2])
         conductivity = torch.sqrt(1.0 + 2.0 * c.slope * state[3 : HEAD + n])  # K = A T + B as a function of tau
         temperature = (conductivity + (c.slope - 1.0)) / c.slope
         wall = self._wall(pressure, temperature[0], conductivity[0])
@@ -184,7 +184,7 @@ class Equations:
         """``f(x)`` at a state, ``(4+2n+m) x B``; ``wall_acceleration`` is ``U'`` where it is known already."""
         b, n = self.bubbles, self.n
         result = b.numbers.new_empty(HEAD + 2 * n + self.m, len(b))
-        result[0], result[2], result[3] = f.velocity, f.rate, self._wall_balance(f)
+        result[0], result[2], result[3] = f.velocity, f.rate / f.pressure, self._wall_balance(f)
         if wall_acceleration is None:
             wall_acceleration = acceleration(b, f.radius, f.velocity, f.pressure, f.rate)
         result[1] = wall_acceleration

@@ -119,8 +119,9 @@ class Stream:
         at = self._count[self._member]
         if int(at.max()) >= self._nodes.shape[2]:
             self._nodes = torch.cat((self._nodes, torch.zeros_like(self._nodes)), 2)
-        radius, velocity, pressure = self._state[:3]
-        row = torch.stack((self._time, radius, velocity, acceleration, pressure.log(), pressure_rate / pressure))
+        radius, velocity, log_pressure = self._state[:3]
+        log_rate = pressure_rate * torch.exp(-log_pressure)
+        row = torch.stack((self._time, radius, velocity, acceleration, log_pressure, log_rate))
         self._nodes[:, self._member, at] = row
 
     def _judge(self, finite: Tensor) -> None:

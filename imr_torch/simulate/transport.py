@@ -34,7 +34,7 @@ class Accuracy:
         slots: members that advance together; larger ones leave the processor's cache.
     """
 
-    tolerance: float = 1e-4
+    tolerance: float = 2e-4
     resolution: Resolution = field(default_factory=Resolution)
     max_steps: int = 20000
     slots: int = 256
@@ -42,7 +42,7 @@ class Accuracy:
     def __post_init__(self) -> None:
         if not 1e-12 <= self.tolerance <= 1e-1:
             raise InputDataError(
-                f"Accuracy.tolerance is {self.tolerance}; expected 1e-12 to 0.1 (1e-4 is the default)."
+                f"Accuracy.tolerance is {self.tolerance}; expected 1e-12 to 0.1 (2e-4 is the default)."
             )
         if self.max_steps < 1 or self.slots < 1:
             raise InputDataError(
