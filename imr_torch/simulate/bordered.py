@@ -50,15 +50,16 @@ def invert(blocks: Tensor) -> Tensor:
     The blocks are ``I/(h gamma) - J`` with dissipative ``J``. A vanishing pivot gives non-finite numbers, which make the
     step fail and be tried again at a smaller ``h``, where the identity dominates.
     """
-    for k in range(blocks.shape[0]):
-        pivot = blocks[k, k].reciprocal()
-        row = blocks[k] * pivot
-        row[k] = pivot
-        column = blocks[:, k].clone()
+    columns = blocks.unbind(1)
+    for k, row in enumerate(blocks.unbind(0)):
+        pivot = row[k].reciprocal()
+        scaled = row * pivot
+        scaled[k] = pivot
+        column = columns[k].clone()
         column[k] = 0.0
-        blocks[:, k] = 0.0
-        blocks[k] = row
-        blocks.addcmul_(column[:, None], row[None], value=-1.0)
+        columns[k].zero_()
+        row.copy_(scaled)
+        blocks.addcmul_(column[:, None], scaled[None], value=-1.0)
     return blocks
 
 
@@ -66,7 +67,7 @@ class Factors:
     """``I/(h gamma) - J`` (0 for the identity in the algebraic row), ready to be solved for several right-hand sides.
 
     Args:
-        jacobian: its entries in ``inside`` and ``outside`` are overwritten.
+        jacobian: its entries in ``inside`` and ``outside`` may be overwritten.
         shift: ``B`` tensor, ``1/(h gamma)``.
         slope: ``n x n`` tensor, ``d/dy`` at the inner nodes from the inner nodes.
         wall_slope: ``n`` tensor, ``d/dy`` at the wall from the inner nodes.
@@ -77,8 +78,7 @@ class Factors:
         self, jacobian: Jacobian, shift: Tensor, slope: Tensor, wall_slope: Tensor, outer_wall_slope: Tensor
     ) -> None:
         self._jacobian, self._shift, self._slope = jacobian, shift, slope
-        self._inside = _shifted_inverse(jacobian.inside, shift)
-        self._outside = _shifted_inverse(jacobian.outside, shift)
+        self._inside, self._outside = _shifted_inverses(jacobian.inside, jacobian.outside, shift)
         self._border_rows(wall_slope, outer_wall_slope)
         self._eliminate()
 
@@ -147,8 +147,13 @@ class Factors:
         return torch.stack((radius + velocity * self._step, velocity, pressure + rate * self._step, rate, wall))
 
 
-def _shifted_inverse(blocks: Tensor, shift: Tensor) -> Tensor:
-    """``(diag(shift) - blocks)^-1``, in place."""
-    blocks.neg_()
-    blocks.diagonal(dim1=0, dim2=1).add_(shift[..., None])
-    return invert(blocks)
+def _shifted_inverses(inside: Tensor, outside: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
+    """``(diag(shift) - blocks)^-1`` of the fields inside and outside, in one go where they are of one size."""
+    blocks = [inside, outside[:, :, None]]
+    if inside.shape[0] == outside.shape[0]:
+        blocks = [torch.cat(blocks, 2)]
+    for block in blocks:
+        block.neg_()
+        block.diagonal(dim1=0, dim2=1).add_(shift[:, None])
+        invert(block)
+    return (blocks[0][:, :, :2], blocks[-1][:, :, -1])

@@ -51,9 +51,9 @@ class Resolution:
     """
 
     inside: int = 16
-    outside: int = 20
+    outside: int = 16
     stretch: float = 2.0
-    reach: float = 0.05
+    reach: float = 0.02
     kind: str = "spectral"
 
     def __post_init__(self) -> None:
