@@ -24,7 +24,9 @@ class NewtonianViscosity:
         value = factor * velocity
         return Stress(value, -value * velocity / radius, factor)
 
-    def slopes(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> StressSlopes:
+    def slopes(
+        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]
+    ) -> StressSlopes:
         """See :func:`stress_slopes`."""
         per_radius = 1.0 / radius
         factor = -4.0 * theta["mu"] * per_radius
@@ -48,7 +50,9 @@ class NeoHookeanElasticity:
         slope = -4.0 * half * inverse * (1.0 + cubed)  # dS/d(ln l)
         return Stress(value, slope * velocity / radius, torch.zeros_like(value))
 
-    def slopes(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> StressSlopes:
+    def slopes(
+        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]
+    ) -> StressSlopes:
         """See :func:`stress_slopes`."""
         inverse = rest_radius / radius
         cubed = inverse**3
@@ -76,7 +80,9 @@ class StrainStiffening:
         slope = scale * (-2.0 * x4 * x4 - 2.0 * x4 * x + 6.0 * x4 - 4.0 * x2 + 6.0 * x - 4.0 * stretch)  # dS/d(ln l)
         return Stress(value, slope * velocity / radius, torch.zeros_like(value))
 
-    def slopes(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> StressSlopes:
+    def slopes(
+        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]
+    ) -> StressSlopes:
         """See :func:`stress_slopes`."""
         x = rest_radius / radius
         stretch = 4.0 * radius / rest_radius
@@ -133,8 +139,8 @@ def stress_slopes(
 ) -> StressSlopes:
     """Derivatives in ``R`` and ``U`` of the sum of ``terms``, each argument a ``B`` tensor or broadcastable to it.
 
-    A term may give its own through a method ``slopes`` (same arguments); any other is differentiated automatically, which
-    is as exact and takes longer.
+    A term may give its own through a method ``slopes`` (same arguments); any other is differentiated automatically,
+    which is as exact and takes longer.
     """
     zero = torch.zeros_like(radius)
     nothing = Stress(zero, zero, zero)
@@ -156,6 +162,6 @@ def automatic_slopes(
         return stress.value, stress.rate, stress.acceleration
 
     one, zero = torch.ones_like(radius), torch.zeros_like(radius)
-    _, by_radius = torch.func.jvp(evaluate, (radius, velocity), (one, zero))
-    _, by_velocity = torch.func.jvp(evaluate, (radius, velocity), (zero, one))
+    by_radius = torch.func.jvp(evaluate, (radius, velocity), (one, zero))[1]
+    by_velocity = torch.func.jvp(evaluate, (radius, velocity), (zero, one))[1]
     return StressSlopes(Stress(*by_radius), Stress(*by_velocity))

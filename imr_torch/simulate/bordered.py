@@ -1,8 +1,9 @@
 """Linear systems of the implicit step: three small dense blocks, bordered by the five numbers that couple them.
 
 Temperature in the bubble (``tau``), vapour (``C``, driven by ``tau``) and temperature in the gel (``theta``) see each
-other only through the border ``z = (R, U, p, q, tau_w)``, with ``p = ln P`` and ``q = dp/dt`` as an extra unknown. Eliminating the fields
-leaves two equations for ``(q, tau_w)`` a member, so a factorisation costs three inverses of the size of one field.
+other only through the border ``z = (R, U, p, q, tau_w)``, with ``p = ln P`` and ``q = dp/dt`` as an extra unknown.
+Eliminating the fields leaves two equations for ``(q, tau_w)`` a member, so a factorisation costs three inverses of
+the size of one field.
 """
 
 from dataclasses import dataclass
@@ -47,8 +48,8 @@ class Jacobian:
 def invert(blocks: Tensor) -> Tensor:
     """Inverse of each ``blocks[:, :, b]`` by Gauss-Jordan in place, batch last, without pivoting.
 
-    The blocks are ``I/(h gamma) - J`` with dissipative ``J``. A vanishing pivot gives non-finite numbers, which make the
-    step fail and be tried again at a smaller ``h``, where the identity dominates.
+    The blocks are ``I/(h gamma) - J`` with dissipative ``J``. A vanishing pivot gives non-finite numbers, which make
+    the step fail and be tried again at a smaller ``h``, where the identity dominates.
     """
     columns = blocks.unbind(1)
     for k, row in enumerate(blocks.unbind(0)):

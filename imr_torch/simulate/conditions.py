@@ -84,8 +84,8 @@ class GasMixture:
         gas_constant: molar gas constant, J/(mol K).
         vapour_mass: molar mass of the vapour, kg/mol.
         air_mass: molar mass of the gas that does not condense, kg/mol.
-        vapour: ``"transported"``: in equilibrium at the wall, diffusing inside. ``"constant"``: its saturation pressure at
-            the far temperature is added to the pressure of dry air. ``"absent"``: dry air.
+        vapour: ``"transported"``: in equilibrium at the wall, diffusing inside. ``"constant"``: its saturation
+            pressure at the far temperature is added to the pressure of dry air. ``"absent"``: dry air.
     """
 
     heat_ratio: float = 1.4
@@ -115,9 +115,10 @@ class Medium:
         conductivity: ``K_m``, W/(m K).
         heat_capacity: ``c_p,m``, J/(kg K).
         latent_heat: of evaporation, J/kg.
-        warm: whether the gel warms up (by conduction and viscous heating); otherwise the wall keeps the far temperature.
-        capacity_of: ``"medium"``: ``heat_capacity``. ``"gas_wall"``: the number ``k/(k-1) R_mix* `` of the gas at the wall,
-            read as J/(kg K), as the published code does; for parity with it only.
+        warm: whether the gel warms up (by conduction and viscous heating); otherwise the wall keeps the far
+            temperature.
+        capacity_of: ``"medium"``: ``heat_capacity``. ``"gas_wall"``: the number ``k/(k-1) R_mix* `` of the gas at the
+            wall, read as J/(kg K), as the published code does; for parity with it only.
     """
 
     conductivity: float = 0.55
@@ -175,7 +176,7 @@ PRESETS: dict[str, Conditions] = {
     "published": Conditions(),
     "authors_code": Conditions(medium=Medium(capacity_of="gas_wall"), stress_acceleration=False),
 }
-"""Named conditions: the equations of Estrada et al. (2018), and what the code published with Chu et al. (2024) solves."""
+"""Named conditions: the equations of Estrada et al. (2018), and what the published code of Chu et al. solves."""
 
 
 def preset(key: str) -> Conditions:

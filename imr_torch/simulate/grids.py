@@ -153,7 +153,7 @@ def _central(nodes: int, step: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _chebyshev(count: int) -> tuple[Tensor, Tensor]:
-    """The ``count + 1`` Chebyshev extrema from 1 to -1 and their differentiation matrix (Trefethen 2000, eq. 6.3-6.5)."""
+    """The ``count + 1`` Chebyshev extrema from 1 to -1 and their derivative (Trefethen 2000, eqs. 6.3-6.5)."""
     index = torch.arange(count + 1, dtype=torch.float64)
     x = torch.cos(math.pi * index / count)
     weight = torch.where((index == 0) | (index == count), 2.0, 1.0) * (-1.0) ** index

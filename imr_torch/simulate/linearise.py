@@ -1,8 +1,8 @@
 """The exact derivative of the right-hand side, in the structured form that the implicit step solves.
 
-Derived by hand from :mod:`imr_torch.simulate.rhs` and tested against automatic differentiation. The rate of pressure ``q``
-is kept as an unknown of its own: without it the fields would be coupled densely through it. Derivatives are first taken in
-``P`` and ``q``, and turned to ``ln P`` and ``d ln P/dt`` at the end.
+Derived by hand from :mod:`imr_torch.simulate.rhs` and tested against automatic differentiation. The rate of pressure
+``q`` is kept as an unknown of its own: without it the fields would be coupled densely through it. Derivatives are
+first taken in ``P`` and ``q``, and turned to ``ln P`` and ``d ln P/dt`` at the end.
 """
 
 from dataclasses import dataclass
@@ -73,7 +73,7 @@ def linearise(equations: Equations, f: Fields) -> tuple[Tensor, Jacobian]:
 
 
 def _to_logarithm(border: Tensor, pressure: Tensor, log_rate: Tensor) -> None:
-    """Turn derivatives in ``P`` and ``q = dP/dt``, columns 2 and 3, into those in ``ln P`` and ``d ln P/dt``, in place."""
+    """Turn derivatives in ``P`` and ``dP/dt``, columns 2 and 3, into those in ``ln P`` and its rate, in place."""
     border[:, 2] = pressure * (border[:, 2] + log_rate * border[:, 3])
     border[:, 3] *= pressure
 

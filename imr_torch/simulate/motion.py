@@ -1,8 +1,8 @@
 """The acceleration of the wall with its exact derivatives: Keller-Miksis driven by a pressure and its rate.
 
-``(1 - U/c) R U' + 3/2 (1 - U/(3c)) U^2 = (1 + U/c + (R/c) d/dt) P`` with ``P = p_b - 1/(We R) + S - 1`` (Keller & Miksis,
-J. Acoust. Soc. Am. 68, 1980; Estrada et al. 2018, eq. 4); ``q = dp_b/dt`` is given. The part of ``dS/dt`` that holds
-``U'`` is taken to the left.
+``(1 - U/c) R U' + 3/2 (1 - U/(3c)) U^2 = (1 + U/c + (R/c) d/dt) P`` with ``P = p_b - 1/(We R) + S - 1`` (Keller &
+Miksis, J. Acoust. Soc. Am. 68, 1980; Estrada et al. 2018, eq. 4); ``q = dp_b/dt`` is given. The part of ``dS/dt``
+that holds ``U'`` is taken to the left.
 """
 
 from dataclasses import dataclass

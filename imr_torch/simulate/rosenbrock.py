@@ -1,9 +1,10 @@
-"""One linearly implicit step of a stiff differential-algebraic system, for a batch in which every member has its own step.
+"""One linearly implicit step of a stiff differential-algebraic system, with a step of each member's own.
 
 A Rosenbrock method replaces the Newton iteration of an implicit Runge-Kutta method by linear systems with one exact
-Jacobian a step (Hairer & Wanner, Solving Ordinary Differential Equations II, 2nd ed. 1996, sections IV.7 and VI.4; in the
-form that avoids products with the Jacobian). Rodas4P is stiffly accurate, of order 4 with an embedded method of order 3,
-and keeps its order for parabolic equations with boundary values that change (Steinebach, preprint 1741, TH Darmstadt 1995).
+Jacobian a step (Hairer & Wanner, Solving Ordinary Differential Equations II, 2nd ed. 1996, sections IV.7 and VI.4; in
+the form that avoids products with the Jacobian). Rodas4P is stiffly accurate, of order 4 with an embedded method of
+order 3, and keeps its order for parabolic equations with boundary values that change (Steinebach, preprint 1741, TH
+Darmstadt 1995).
 """
 
 from dataclasses import dataclass

@@ -36,7 +36,9 @@ _ADVICE = {
     Status.TOO_MANY_STEPS: "The solve ran out of steps; raise max_steps or ask for an earlier last time.",
     Status.NON_FINITE: "The solve became non-finite; check parameters and design, or step more finely.",
     Status.RUNAWAY: "The radius grew beyond three times its maximum, which no free oscillation does; step more finely.",
-    Status.STEP_UNDERFLOW: "No step was small enough to meet the tolerance; check parameters and design, or raise the tolerance.",
+    Status.STEP_UNDERFLOW: (
+        "No step was small enough to meet the tolerance; check parameters and design, or raise the tolerance."
+    ),
 }
 
 
@@ -120,7 +122,7 @@ def broadcast_batch(parameters: Tensor, designs: Tensor, times: Tensor) -> tuple
 
 
 def check_times(times: Tensor) -> None:
-    """Raise :class:`InputDataError` unless every row of ``times`` (``B x n_t``) is finite, increasing and after the maximum."""
+    """Raise :class:`InputDataError` unless the rows of ``times`` (``B x n_t``) are finite, increasing and not early."""
     if not bool(torch.isfinite(times).all()):
         raise InputDataError("times holds a value that is not finite; leave missing frames out or mask them.")
     if bool((times[:, 1:] <= times[:, :-1]).any()):

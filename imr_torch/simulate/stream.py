@@ -1,7 +1,7 @@
 """Members streaming through slots: each with its own time and step, leaving when done, making room for the next.
 
-A step common to a batch would be dictated by whoever collapses. Here every slot holds one bubble that advances by its own
-step; a bubble that is done or has failed leaves, and one that waits takes its slot, so that the batch stays full.
+A step common to a batch would be dictated by whoever collapses. Here every slot holds one bubble that advances by its
+own step; a bubble that is done or has failed leaves, and one that waits takes its slot, so that the batch stays full.
 """
 
 from dataclasses import dataclass

@@ -51,9 +51,9 @@ class Accuracy:
 
 
 ACCURACIES = {
-    "fast": Accuracy(1e-3, Resolution(12, 14)),
+    "fast": Accuracy(1e-3, Resolution(12, 12)),
     "default": Accuracy(),
-    "reference": Accuracy(1e-7, Resolution(48, 48), max_steps=100000),
+    "reference": Accuracy(1e-6, Resolution(32, 32), max_steps=100000),
 }
 """Named settings; their measured errors are in ``benchmarks/RESULTS.md``."""
 
