@@ -28,7 +28,7 @@ class Controller:
     order: int = 4
 
     def error(self, before: Tensor, after: Tensor, error: Tensor, inside: int) -> Tensor:
-        """Scaled error of a step, a ``B`` tensor: at most 1 if the step is to be accepted, infinite or NaN if it failed.
+        """Scaled error of a step, a ``B`` tensor: at most 1 if the step may be accepted, infinite or NaN if it failed.
 
         Args:
             before: ``nx x B`` tensor, the state before the step.

@@ -31,13 +31,13 @@ class Accuracy:
         tolerance: relative error of a step.
         resolution: grids inside and outside the bubble.
         max_steps: attempted steps after which a member is given up.
-        slots: members that advance together; larger ones leave the processor's cache.
+        slots: members that advance together.
     """
 
     tolerance: float = 2e-4
     resolution: Resolution = field(default_factory=Resolution)
     max_steps: int = 20000
-    slots: int = 256
+    slots: int = 1000
 
     def __post_init__(self) -> None:
         if not 1e-12 <= self.tolerance <= 1e-1:
