@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+_LARGE = 64  # nodes from which on LAPACK is faster; the grids meant for use have a third of that
+
 
 @dataclass(frozen=True)
 class Jacobian:
@@ -46,11 +48,14 @@ class Jacobian:
 
 
 def invert(blocks: Tensor) -> Tensor:
-    """Inverse of each ``blocks[:, :, b]`` by Gauss-Jordan in place, batch last, without pivoting.
+    """Inverse of each ``blocks[:, :, b]``, batch last, by Gauss-Jordan without pivoting, possibly in place.
 
     The blocks are ``I/(h gamma) - J`` with dissipative ``J``. A vanishing pivot gives non-finite numbers, which make
     the step fail and be tried again at a smaller ``h``, where the identity dominates.
     """
+    if blocks.shape[0] > _LARGE:
+        batch_first = blocks.reshape(*blocks.shape[:2], -1).permute(2, 0, 1)
+        return torch.linalg.inv_ex(batch_first)[0].permute(1, 2, 0).reshape(blocks.shape)
     columns = blocks.unbind(1)
     for k, row in enumerate(blocks.unbind(0)):
         pivot = row[k].reciprocal()
@@ -156,5 +161,5 @@ def _shifted_inverses(inside: Tensor, outside: Tensor, shift: Tensor) -> tuple[T
     for block in blocks:
         block.neg_()
         block.diagonal(dim1=0, dim2=1).add_(shift[:, None])
-        invert(block)
-    return (blocks[0][:, :, :2], blocks[-1][:, :, -1])
+    inverses = [invert(block) for block in blocks]
+    return inverses[0][:, :, :2], inverses[-1][:, :, -1]

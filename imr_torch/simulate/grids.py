@@ -50,8 +50,8 @@ class Resolution:
             ignored and ``reach`` is its 2).
     """
 
-    inside: int = 16
-    outside: int = 16
+    inside: int = 18
+    outside: int = 18
     stretch: float = 2.0
     reach: float = 0.02
     kind: str = "spectral"

@@ -74,9 +74,10 @@ def test_bordered_solve_equals_the_dense_solve_with_the_automatic_jacobian(condi
         assert float((solution[:, i] - dense).norm() / dense.norm()) < 1e-10
 
 
-def test_gauss_jordan_inverts_every_member():
-    blocks = torch.randn(9, 9, 5, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    blocks += 12.0 * torch.eye(9, dtype=torch.float64)[:, :, None]
+@pytest.mark.parametrize("size", [9, 70], ids=["Gauss-Jordan", "LAPACK"])
+def test_every_member_is_inverted(size):
+    blocks = torch.randn(size, size, 5, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    blocks += 30.0 * torch.eye(size, dtype=torch.float64)[:, :, None]
     expected = torch.linalg.inv(blocks.permute(2, 0, 1)).permute(1, 2, 0)
     assert torch.allclose(invert(blocks.clone()), expected, rtol=0.0, atol=1e-13)
 

@@ -60,14 +60,29 @@ def test_collapse_times_and_rebounds_agree_at_default_accuracy(cases, oracle, ke
     assert np.abs(radius[:, 401:].max(1) - rebound).max() < 1e-3
 
 
-def test_the_adapter_gives_the_converged_curve_and_refuses_unknown_models(cases, oracle):
+@pytest.fixture(scope="module")
+def adapter():
     path = Path(__file__).parents[1] / "conformance" / "authors.py"
     spec = importlib.util.spec_from_file_location("conformance_authors", path)
-    adapter = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(adapter)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_adapter_gives_the_converged_curve(adapter, cases, oracle):
     i, case = cases[2]
-    t = oracle["t_1601"][::20]
-    radius = adapter.radius({**case, "preset": "published", "grid": "converged"}, t)
+    radius = adapter.radius({**case, "preset": "published", "grid": "converged"}, oracle["t_1601"][::20])
     assert np.abs(radius - oracle["estrada2018_R_1601"][i, ::20]).max() < 3e-4
+
+
+def test_on_the_published_grid_the_published_code_is_reproduced(adapter, cases, shared):
+    curves = np.load(shared / "reference" / "authors_code_public.npz")
+    i, case = cases[2]
+    times = curves["t_81"][:41]
+    radius = adapter.radius({**case, "preset": "authors_code", "grid": "authors_240"}, times)
+    assert np.abs(radius - curves["R_81"][i, :41]).max() < 1e-4
+
+
+def test_the_adapter_refuses_models_that_the_toolkit_does_not_have(adapter, cases):
     with pytest.raises(UnsupportedError, match="not in the registry"):
-        adapter.radius({**case, "equivalent_model": "unheard_of"}, t)
+        adapter.radius({**cases[0][1], "equivalent_model": "unheard_of"}, np.linspace(0.0, 1.0, 5))
