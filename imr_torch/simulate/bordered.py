@@ -85,72 +85,60 @@ class Factors:
     ) -> None:
         self._jacobian, self._shift, self._slope = jacobian, shift, slope
         self._inside, self._outside = _shifted_inverses(jacobian.inside, jacobian.outside, shift)
-        self._border_rows(wall_slope, outer_wall_slope)
-        self._eliminate()
+        rows = self._wall_functionals(wall_slope, outer_wall_slope)
+        self._functionals = torch.cat(rows, 1)
+        self._border = invert(self._border_matrix(*rows))
 
-    def _border_rows(self, wall_slope: Tensor, outer_wall_slope: Tensor) -> None:
-        """Slopes at the wall as functionals of the fields' right-hand sides and of the border."""
+    def _wall_functionals(self, wall_slope: Tensor, outer_wall_slope: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What the fields' right-hand sides add to the rows of ``q`` and of the wall, through the slopes at the wall.
+
+        Returns:
+            Tensors ``2 x n x B`` (tau), ``2 x n x B`` (C) and ``2 x m x B`` (theta).
+        """
         j = self._jacobian
-        inside = (wall_slope[:, None, None, None] * self._inside).sum(0)  # n x 2 x B
-        vapour = inside[:, 1]
+        heat, vapour = (wall_slope[:, None, None, None] * self._inside).sum(0).unbind(1)
         through = self._slope.T @ (vapour * j.coupling_slope) + vapour * j.coupling
-        self._heat_to_vapour = (through[:, None] * self._inside[:, :, 0]).sum(0)
-        self._inside_rows = inside
-        self._outside_row = (outer_wall_slope[:, None, None] * self._outside).sum(0)
-        by_border = (inside[:, None] * j.inside_border).sum(0)  # 5 x 2 x B
-        heat, vapour_slope = by_border.unbind(1)
-        vapour_slope = vapour_slope + (self._heat_to_vapour[:, None] * j.inside_border[:, :, 0]).sum(0)
-        gel = (self._outside_row[:, None] * j.outside_border).sum(0)
-        self._q_row = -(j.pressure_row + j.pressure_slopes[0] * heat + j.pressure_slopes[1] * vapour_slope)
-        self._q_row[3] += 1.0
-        self._w_row = -(j.wall_row + j.wall_slopes[0] * heat + j.wall_slopes[1] * vapour_slope + j.wall_slopes[2] * gel)
+        heat_to_vapour = (through[:, None] * self._inside[:, :, 0]).sum(0)
+        gel = (outer_wall_slope[:, None, None] * self._outside).sum(0)
+        by_heat, by_vapour = torch.stack((j.pressure_slopes, j.wall_slopes[:2]), 1)[:, :, None]
+        outer = torch.zeros(2, *gel.shape, dtype=gel.dtype, device=gel.device)
+        outer[1] = j.wall_slopes[2] * gel
+        return by_heat * heat + by_vapour * heat_to_vapour, by_vapour * vapour, outer
 
-    def _eliminate(self) -> None:
-        """Take R, U and p out of the border; the 2 x 2 system in (q, tau_w) remains."""
-        step = self._shift.reciprocal()
-        by_radius, by_velocity, by_pressure, by_rate = self._jacobian.velocity_row
-        self._step = step
-        self._velocity_pivot = (self._shift - by_velocity - by_radius * step).reciprocal()
-        self._velocity_by_q = (by_rate + by_pressure * step) * self._velocity_pivot
-        q, w = self._q_row, self._w_row
-        self._q_velocity, self._w_velocity = q[1] + q[0] * step, w[1] + w[0] * step
-        self._qq = q[3] + q[2] * step + self._q_velocity * self._velocity_by_q
-        self._wq = w[3] + w[2] * step + self._w_velocity * self._velocity_by_q
-        self._qw, self._ww = q[4], w[4]
-        self._determinant = (self._qq * self._ww - self._qw * self._wq).reciprocal()
+    def _border_matrix(self, heat: Tensor, vapour: Tensor, outer: Tensor) -> Tensor:
+        """The system in (R, U, p, q, tau_w) that is left when the fields are eliminated, ``5 x 5 x B``."""
+        j, shift = self._jacobian, self._shift
+        matrix = shift.new_zeros(5, 5, shift.shape[0])
+        matrix[0, 0] = matrix[2, 2] = shift
+        matrix[0, 1] = matrix[2, 3] = -1.0
+        matrix[1, :4] = -j.velocity_row
+        matrix[1, 1] += shift
+        rows = (heat[:, :, None] * j.inside_border[:, :, 0]).sum(1) + (
+            vapour[:, :, None] * j.inside_border[:, :, 1]
+        ).sum(1)
+        rows += (outer[:, :, None] * j.outside_border).sum(1)
+        matrix[3:] = -rows
+        matrix[3] -= j.pressure_row
+        matrix[3, 3] += 1.0
+        matrix[4] -= j.wall_row
+        return matrix
 
     def solve(self, right: Tensor) -> Tensor:
         """Solve for one right-hand side, ``(4 + 2n + m) x B`` in the layout of the state."""
         j, n = self._jacobian, self._inside.shape[0]
-        fields, gel = right[4 : 4 + 2 * n].reshape(2, n, -1), right[4 + 2 * n :]
-        border = self._solve_border(right[:4], fields, gel)
+        inputs = torch.cat((right[:3], (self._functionals * right[4:]).sum(1)))
+        inputs[4] += right[3]
+        border = (self._border * inputs).sum(1)
         solution = torch.empty_like(right)
         solution[:3], solution[3] = border[:3], border[4]
         sources = (j.inside_border * border[:, None]).sum(1)  # n x 2 x B
-        heat = solution[4 : 4 + n] = (self._inside[:, :, 0] * (fields[0] + sources[:, 0])).sum(1)
-        drive = fields[1] + sources[:, 1] + j.coupling_slope * (self._slope @ heat) + j.coupling * heat
+        heat = (self._inside[:, :, 0] * (right[4 : 4 + n] + sources[:, 0])).sum(1)
+        drive = right[4 + n : 4 + 2 * n] + sources[:, 1] + j.coupling_slope * (self._slope @ heat) + j.coupling * heat
+        solution[4 : 4 + n] = heat
         solution[4 + n : 4 + 2 * n] = (self._inside[:, :, 1] * drive).sum(1)
-        gel = gel + (j.outside_border * border).sum(1)
+        gel = right[4 + 2 * n :] + (j.outside_border * border).sum(1)
         solution[4 + 2 * n :] = (self._outside * gel).sum(1)
         return solution
-
-    def _solve_border(self, right: Tensor, fields: Tensor, gel: Tensor) -> Tensor:
-        """(R, U, p, q, tau_w), ``5 x B``."""
-        j, q, w = self._jacobian, self._q_row, self._w_row
-        heat = (self._inside_rows[:, 0] * fields[0]).sum(0)
-        vapour = (self._inside_rows[:, 1] * fields[1]).sum(0) + (self._heat_to_vapour * fields[0]).sum(0)
-        outer = (self._outside_row * gel).sum(0)
-        of_q = j.pressure_slopes[0] * heat + j.pressure_slopes[1] * vapour
-        of_w = right[3] + j.wall_slopes[0] * heat + j.wall_slopes[1] * vapour + j.wall_slopes[2] * outer
-        radius, velocity, pressure = right[0] * self._step, right[1], right[2] * self._step
-        by_radius, _, by_pressure, _ = j.velocity_row
-        velocity = (velocity + by_radius * radius + by_pressure * pressure) * self._velocity_pivot
-        of_q = of_q - q[0] * radius - q[2] * pressure - self._q_velocity * velocity
-        of_w = of_w - w[0] * radius - w[2] * pressure - self._w_velocity * velocity
-        rate = (self._ww * of_q - self._qw * of_w) * self._determinant
-        wall = (self._qq * of_w - self._wq * of_q) * self._determinant
-        velocity = velocity + self._velocity_by_q * rate
-        return torch.stack((radius + velocity * self._step, velocity, pressure + rate * self._step, rate, wall))
 
 
 def _shifted_inverses(inside: Tensor, outside: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:

@@ -93,16 +93,12 @@ def rosenbrock_step(equations: Equations, state: Tensor, step: Tensor, tableau: 
     increments = state.new_empty(len(tableau.stages) + 1, *state.shape)
     increments[0] = factors.solve(equations.rate(fields, acceleration))
     argument = state
-    for i, (weights, coupling) in enumerate(zip(tableau.stages, tableau.coupling, strict=True), start=1):
-        argument = state + _combine(weights, increments)
-        right = _combine(coupling, increments)
+    for i, weights in enumerate(zip(tableau.stages, tableau.coupling, strict=True), start=1):
+        rows = torch.tensor(weights, dtype=state.dtype, device=state.device)
+        offset, right = (rows @ increments[:i].reshape(i, -1)).reshape(2, *state.shape)
+        argument = state + offset
         right[:4] *= inverse_step
         right[4:] *= inverse_step[0]
         right += equations.rate(equations.fields(argument))
         increments[i] = factors.solve(right)
     return Step(argument + increments[-1], increments[-1], acceleration, fields.rate)
-
-
-def _combine(weights: tuple[float, ...], increments: Tensor) -> Tensor:
-    used = increments[: len(weights)]
-    return torch.tensordot(used.new_tensor(weights), used, dims=1)

@@ -37,7 +37,7 @@ class Accuracy:
     tolerance: float = 3e-4
     resolution: Resolution = field(default_factory=Resolution)
     max_steps: int = 20000
-    slots: int = 1000
+    slots: int = 500
 
     def __post_init__(self) -> None:
         if not 1e-12 <= self.tolerance <= 1e-1:
