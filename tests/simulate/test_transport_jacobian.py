@@ -54,7 +54,7 @@ def dense_jacobian(equations, state):
     return torch.stack([torch.func.jvp(rate, (state,), (e,))[1] for e in torch.eye(len(state), dtype=torch.float64)], 1)
 
 
-@pytest.mark.parametrize("resolution", [Resolution(7, 9), Resolution(8, 8)], ids=["unequal", "equal"])
+@pytest.mark.parametrize("resolution", [Resolution(4, 6), Resolution(5, 5)], ids=["unequal", "equal"])
 @pytest.mark.parametrize("conditions", CONDITIONS.values(), ids=CONDITIONS)
 def test_bordered_solve_equals_the_dense_solve_with_the_automatic_jacobian(conditions, resolution):
     equations = Equations(Bubbles.of(PARAMETER_ROWS, DESIGNS, conditions), *resolution.grids())

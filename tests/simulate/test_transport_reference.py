@@ -41,7 +41,7 @@ def simulate(cases, times, key, accuracy):
 @pytest.mark.parametrize("key", CURVES)
 def test_radius_agrees_with_the_independent_solver(cases, oracle, key):
     rows = [i for i, _ in cases]
-    radius = simulate(cases, oracle["t_1601"], key, Accuracy(1e-5, Resolution(24, 24)))
+    radius = simulate(cases, oracle["t_1601"], key, Accuracy(3e-5, Resolution(22, 22)))
     error = np.abs(radius - oracle[f"{CURVES[key]}_R_1601"][rows])
     assert np.median(error) < 5e-5
     assert np.median(error.max(1)) < 1e-3
