@@ -5,8 +5,8 @@ from imr_torch.material.cases import CASES, ReferenceCase, reference_case, wide_
 from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
 from imr_torch.material.models import MATERIALS, Material, material, materials, register
 from imr_torch.material.parameters import PARAMETERS, Parameter, dimensionless
-from imr_torch.material.stress import Stress, StressTerm
-from imr_torch.material.terms import TERMS, active_terms, stress_integral
+from imr_torch.material.stress import Stress, StressSlopes, StressTerm
+from imr_torch.material.terms import TERMS, active_terms, automatic_slopes, stress_integral, stress_slopes
 
 __all__ = [
     "CASES",
@@ -22,14 +22,17 @@ __all__ = [
     "Parameter",
     "ReferenceCase",
     "Stress",
+    "StressSlopes",
     "StressTerm",
     "TruncatedNormal",
     "active_terms",
+    "automatic_slopes",
     "dimensionless",
     "material",
     "materials",
     "reference_case",
     "register",
     "stress_integral",
+    "stress_slopes",
     "wide_prior",
 ]

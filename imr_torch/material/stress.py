@@ -42,3 +42,19 @@ class StressTerm(Protocol):
     def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
         """Evaluate the term; all arguments dimensionless and broadcastable to ``batch_shape``."""
         ...
+
+
+@dataclass(frozen=True)
+class StressSlopes:
+    """Partial derivatives of a :class:`Stress`, for solvers that need an exact Jacobian.
+
+    Args:
+        radius: derivative of each entry in ``R``.
+        velocity: derivative of each entry in ``U``.
+    """
+
+    radius: Stress
+    velocity: Stress
+
+    def __add__(self, other: "StressSlopes") -> "StressSlopes":
+        return StressSlopes(self.radius + other.radius, self.velocity + other.velocity)

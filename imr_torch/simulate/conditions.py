@@ -57,13 +57,89 @@ class Stepping:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.step <= 0.5:
-            raise InputDataError(f"Stepping.step is {self.step}; expected above 0 and at most 0.5 (0.15 is the default).")
+            raise InputDataError(
+                f"Stepping.step is {self.step}; expected above 0 and at most 0.5 (0.15 is the default)."
+            )
         if self.max_steps < 1 or self.retries < 0:
-            raise InputDataError(f"Stepping needs max_steps >= 1 and retries >= 0, got {self.max_steps} and {self.retries}.")
+            raise InputDataError(
+                f"Stepping needs max_steps >= 1 and retries >= 0, got {self.max_steps} and {self.retries}."
+            )
 
 
 STEPPINGS = {"fast": Stepping(0.25), "default": Stepping(), "reference": Stepping(0.05, max_steps=60000)}
 """Named settings; their measured errors are in ``benchmarks/RESULTS.md``."""
+
+
+@dataclass(frozen=True)
+class GasMixture:
+    """Water vapour and air that conduct heat and mix by diffusion, at one pressure throughout (homobaric).
+
+    Defaults: Estrada et al. (2018), table 1, and the published code.
+
+    Args:
+        heat_ratio: ``k``, ratio of specific heats of both gases.
+        conductivity_slope: ``A`` of ``K(T) = A T + B``, W/(m K^2).
+        conductivity_offset: ``B``, W/(m K).
+        diffusivity: ``D_0`` of vapour in air, m^2/s.
+        gas_constant: molar gas constant, J/(mol K).
+        vapour_mass: molar mass of the vapour, kg/mol.
+        air_mass: molar mass of the gas that does not condense, kg/mol.
+        vapour: ``"transported"``: in equilibrium at the wall, diffusing inside. ``"constant"``: its saturation
+            pressure at the far temperature is added to the pressure of dry air. ``"absent"``: dry air.
+    """
+
+    heat_ratio: float = 1.4
+    conductivity_slope: float = 5.3e-5
+    conductivity_offset: float = 1.17e-2
+    diffusivity: float = 24.2e-6
+    gas_constant: float = 8.3144598
+    vapour_mass: float = 18.01528e-3
+    air_mass: float = 28.966e-3
+    vapour: Literal["transported", "constant", "absent"] = "transported"
+
+    def __post_init__(self) -> None:
+        if self.vapour not in ("transported", "constant", "absent"):
+            raise InputDataError(
+                f"GasMixture.vapour is {self.vapour!r}; expected 'transported', 'constant' or 'absent'."
+            )
+        if not 1.0 < self.heat_ratio <= 5.0 / 3.0:
+            raise InputDataError(f"GasMixture.heat_ratio is {self.heat_ratio}; expected above 1 and at most 5/3.")
+        _positive(self, "conductivity_slope conductivity_offset diffusivity gas_constant vapour_mass air_mass")
+
+
+@dataclass(frozen=True)
+class Medium:
+    """The gel as a conductor of heat.
+
+    Args:
+        conductivity: ``K_m``, W/(m K).
+        heat_capacity: ``c_p,m``, J/(kg K).
+        latent_heat: of evaporation, J/kg.
+        warm: whether the gel warms up (by conduction and viscous heating); otherwise the wall keeps the far
+            temperature.
+        capacity_of: ``"medium"``: ``heat_capacity``. ``"gas_wall"``: the number ``k/(k-1) R_mix* `` of the gas at the
+            wall, read as J/(kg K), as the published code does; for parity with it only.
+    """
+
+    conductivity: float = 0.55
+    heat_capacity: float = 4181.0
+    latent_heat: float = 2264.76e3
+    warm: bool = True
+    capacity_of: Literal["medium", "gas_wall"] = "medium"
+
+    def __post_init__(self) -> None:
+        if self.capacity_of not in ("medium", "gas_wall"):
+            raise InputDataError(f"Medium.capacity_of is {self.capacity_of!r}; expected 'medium' or 'gas_wall'.")
+        _positive(self, "conductivity heat_capacity latent_heat")
+
+
+def _positive(options: object, names: str) -> None:
+    for name in names.split():
+        if not 0.0 < getattr(options, name) < math.inf:
+            kind = type(options).__name__
+            raise InputDataError(
+                f"{kind}.{name} is {getattr(options, name)}; it must be a positive finite number in SI units."
+            )
 
 
 @dataclass(frozen=True)
@@ -72,15 +148,43 @@ class Conditions:
 
     Args:
         surroundings: the liquid side.
-        gas: the bubble's contents.
+        gas: the bubble's contents as the polytropic simulator takes them.
+        mixture: the bubble's contents as the transport simulator takes them.
+        medium: the gel as a conductor of heat (transport simulator).
+        stress_acceleration: whether the part of ``dS/dt`` that is proportional to ``dU/dt`` acts in the Keller-Miksis
+            equation of the transport simulator. The published code leaves it out; for parity with it only.
     """
 
     surroundings: Surroundings = field(default_factory=Surroundings)
     gas: PolytropicGas = field(default_factory=PolytropicGas)
+    mixture: GasMixture = field(default_factory=GasMixture)
+    medium: Medium = field(default_factory=Medium)
+    stress_acceleration: bool = True
 
     @property
     def vapour_pressure(self) -> float:
-        """Vapour pressure over ``p_inf``; 0 without vapour."""
-        if not self.gas.vapour:
-            return 0.0
+        """Vapour pressure over ``p_inf`` of the polytropic gas; 0 without vapour."""
+        return self.saturation if self.gas.vapour else 0.0
+
+    @property
+    def saturation(self) -> float:
+        """Saturation pressure at the far temperature over ``p_inf``."""
         return saturation_pressure(self.surroundings.temperature) / self.surroundings.far_field_pressure
+
+
+PRESETS: dict[str, Conditions] = {
+    "published": Conditions(),
+    "authors_code": Conditions(medium=Medium(capacity_of="gas_wall"), stress_acceleration=False),
+}
+"""Named conditions: the equations of Estrada et al. (2018), and what the published code of Chu et al. solves."""
+
+
+def preset(key: str) -> Conditions:
+    """The conditions of a name in ``PRESETS``.
+
+    Raises:
+        InputDataError: for an unknown name; the message lists the known ones.
+    """
+    if key not in PRESETS:
+        raise InputDataError(f"Unknown preset {key!r}; known are {', '.join(PRESETS)}.")
+    return PRESETS[key]

@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 from torchdiffeq import odeint
 
-from imr_torch.errors import InputDataError, PrecisionWarning
+from imr_torch.errors import PrecisionWarning
 from imr_torch.simulate.clock import interpolate, time_per_tick
 from imr_torch.simulate.conditions import Conditions, Stepping
-from imr_torch.simulate.simulator import Solution, Status, broadcast_batch
+from imr_torch.simulate.simulator import Solution, Status, broadcast_batch, check_times
 from imr_torch.simulate.wall import PolytropicBubble, check_designs
 
 _BLOCK = 32  # steps between two looks at who is done
@@ -44,7 +44,7 @@ class PolytropicSimulator:
         """
         shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
         check_designs(designs)
-        _check_times(times)
+        check_times(times)
         if parameters.dtype != torch.float64:
             warnings.warn("float32 is too short for inference; use float64 parameters.", PrecisionWarning, stacklevel=2)
         designs, times = designs.to(parameters), times.to(parameters)
@@ -68,19 +68,6 @@ class PolytropicSimulator:
             again = _march(bubble.take(failed), times[failed], stepping)
             results = tuple(old.index_copy(0, failed, new) for old, new in zip(results, again, strict=True))
         return results
-
-
-def _check_times(times: Tensor) -> None:
-    if not bool(torch.isfinite(times).all()):
-        raise InputDataError("times holds a value that is not finite; leave missing frames out or mask them.")
-    if bool((times[:, 1:] <= times[:, :-1]).any()):
-        row = int(torch.nonzero((times[:, 1:] <= times[:, :-1]).any(1))[0])
-        raise InputDataError(f"times of batch member {row} do not increase; sort them and drop repeated ones.")
-    if bool((times[:, 0] < -0.5).any()):
-        raise InputDataError(
-            f"times start at {float(times.min()):g}; t* = 0 is the maximum radius, and growth is not simulated. "
-            "Keep samples from the maximum on."
-        )
 
 
 def _march(bubble: PolytropicBubble, times: Tensor, stepping: Stepping) -> tuple[Tensor, ...]:

@@ -11,7 +11,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from imr_torch.errors import ShapeError
+from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate.conditions import Conditions
 
@@ -23,6 +23,7 @@ class Status(IntEnum):
     TOO_MANY_STEPS = 1
     NON_FINITE = 2
     RUNAWAY = 3
+    STEP_UNDERFLOW = 4
 
     @property
     def advice(self) -> str:
@@ -32,9 +33,12 @@ class Status(IntEnum):
 
 _ADVICE = {
     Status.DONE: "The solve reached its last time.",
-    Status.TOO_MANY_STEPS: "The solve ran out of steps; raise Stepping.max_steps or ask for an earlier last time.",
-    Status.NON_FINITE: "The solve became non-finite; check parameters and design, or lower Stepping.step.",
-    Status.RUNAWAY: "The radius grew beyond three times its maximum, which no free oscillation does; lower Stepping.step.",
+    Status.TOO_MANY_STEPS: "The solve ran out of steps; raise max_steps or ask for an earlier last time.",
+    Status.NON_FINITE: "The solve became non-finite; check parameters and design, or step more finely.",
+    Status.RUNAWAY: "The radius grew beyond three times its maximum, which no free oscillation does; step more finely.",
+    Status.STEP_UNDERFLOW: (
+        "No step was small enough to meet the tolerance; check parameters and design, or raise the tolerance."
+    ),
 }
 
 
@@ -115,3 +119,17 @@ def broadcast_batch(parameters: Tensor, designs: Tensor, times: Tensor) -> tuple
         ) from None
     flat = [x.expand(*shape, x.shape[-1]).reshape(-1, x.shape[-1]) for x in (parameters, designs, times)]
     return shape, flat[0], flat[1], flat[2]
+
+
+def check_times(times: Tensor) -> None:
+    """Raise :class:`InputDataError` unless the rows of ``times`` (``B x n_t``) are finite, increasing and not early."""
+    if not bool(torch.isfinite(times).all()):
+        raise InputDataError("times holds a value that is not finite; leave missing frames out or mask them.")
+    if bool((times[:, 1:] <= times[:, :-1]).any()):
+        row = int(torch.nonzero((times[:, 1:] <= times[:, :-1]).any(1))[0])
+        raise InputDataError(f"times of batch member {row} do not increase; sort them and drop repeated ones.")
+    if bool((times[:, 0] < -0.5).any()):
+        raise InputDataError(
+            f"times start at {float(times.min()):g}; t* = 0 is the maximum radius, and growth is not simulated. "
+            "Keep samples from the maximum on."
+        )

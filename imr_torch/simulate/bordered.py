@@ -1,0 +1,153 @@
+"""Linear systems of the implicit step: three small dense blocks, bordered by the five numbers that couple them.
+
+Temperature in the bubble (``tau``), vapour (``C``, driven by ``tau``) and temperature in the gel (``theta``) see each
+other only through the border ``z = (R, U, p, q, tau_w)``, with ``p = ln P`` and ``q = dp/dt`` as an extra unknown.
+Eliminating the fields leaves two equations for ``(q, tau_w)`` a member, so a factorisation costs three inverses of
+the size of one field.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+_LARGE = 64  # nodes from which on LAPACK is faster; the grids meant for use have a third of that
+
+
+@dataclass(frozen=True)
+class Jacobian:
+    """The derivative of the right-hand side in its structured form; see :mod:`imr_torch.simulate.rhs`.
+
+    Border columns are in the order (R, U, p, q, tau_w); ``G = 2`` fields live inside, ``tau`` and ``C``.
+
+    Args:
+        inside: ``n x n x 2 x B`` tensor, ``d tau_t/d tau`` and ``d C_t/d C``.
+        outside: ``m x m x B`` tensor, ``d theta_t/d theta``.
+        inside_border: ``n x 5 x 2 x B`` tensor, derivatives of ``tau_t`` and ``C_t`` in the border.
+        outside_border: ``m x 5 x B`` tensor.
+        coupling_slope: ``n x B`` tensor, factor of ``d/dy tau`` in ``C_t``.
+        coupling: ``n x B`` tensor, factor of ``tau`` in ``C_t``.
+        velocity_row: ``4 x B`` tensor, ``dU'`` in (R, U, p, q).
+        pressure_row: ``5 x B`` tensor, ``q`` in the border (0 for itself).
+        wall_row: ``5 x B`` tensor, the wall's heat balance in the border.
+        pressure_slopes: ``2 x B`` tensor, ``q`` in the slopes of ``tau`` and ``C`` at the wall.
+        wall_slopes: ``3 x B`` tensor, the wall's balance in the slopes of ``tau``, ``C`` and ``theta`` at the wall.
+    """
+
+    inside: Tensor
+    outside: Tensor
+    inside_border: Tensor
+    outside_border: Tensor
+    coupling_slope: Tensor
+    coupling: Tensor
+    velocity_row: Tensor
+    pressure_row: Tensor
+    wall_row: Tensor
+    pressure_slopes: Tensor
+    wall_slopes: Tensor
+
+
+def invert(blocks: Tensor) -> Tensor:
+    """Inverse of each ``blocks[:, :, b]``, batch last, by Gauss-Jordan without pivoting, possibly in place.
+
+    The blocks are ``I/(h gamma) - J`` with dissipative ``J``. A vanishing pivot gives non-finite numbers, which make
+    the step fail and be tried again at a smaller ``h``, where the identity dominates.
+    """
+    if blocks.shape[0] > _LARGE:
+        batch_first = blocks.reshape(*blocks.shape[:2], -1).permute(2, 0, 1)
+        return torch.linalg.inv_ex(batch_first)[0].permute(1, 2, 0).reshape(blocks.shape)
+    columns = blocks.unbind(1)
+    for k, row in enumerate(blocks.unbind(0)):
+        pivot = row[k].reciprocal()
+        scaled = row * pivot
+        scaled[k] = pivot
+        column = columns[k].clone()
+        column[k] = 0.0
+        columns[k].zero_()
+        row.copy_(scaled)
+        blocks.addcmul_(column[:, None], scaled[None], value=-1.0)
+    return blocks
+
+
+class Factors:
+    """``I/(h gamma) - J`` (0 for the identity in the algebraic row), ready to be solved for several right-hand sides.
+
+    Args:
+        jacobian: its entries in ``inside`` and ``outside`` may be overwritten.
+        shift: ``B`` tensor, ``1/(h gamma)``.
+        slope: ``n x n`` tensor, ``d/dy`` at the inner nodes from the inner nodes.
+        wall_slope: ``n`` tensor, ``d/dy`` at the wall from the inner nodes.
+        outer_wall_slope: ``m`` tensor, the same outside.
+    """
+
+    def __init__(
+        self, jacobian: Jacobian, shift: Tensor, slope: Tensor, wall_slope: Tensor, outer_wall_slope: Tensor
+    ) -> None:
+        self._jacobian, self._shift, self._slope = jacobian, shift, slope
+        self._inside, self._outside = _shifted_inverses(jacobian.inside, jacobian.outside, shift)
+        rows = self._wall_functionals(wall_slope, outer_wall_slope)
+        self._functionals = torch.cat(rows, 1)
+        self._border = invert(self._border_matrix(*rows))
+
+    def _wall_functionals(self, wall_slope: Tensor, outer_wall_slope: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What the fields' right-hand sides add to the rows of ``q`` and of the wall, through the slopes at the wall.
+
+        Returns:
+            Tensors ``2 x n x B`` (tau), ``2 x n x B`` (C) and ``2 x m x B`` (theta).
+        """
+        j = self._jacobian
+        heat, vapour = (wall_slope[:, None, None, None] * self._inside).sum(0).unbind(1)
+        through = self._slope.T @ (vapour * j.coupling_slope) + vapour * j.coupling
+        heat_to_vapour = (through[:, None] * self._inside[:, :, 0]).sum(0)
+        gel = (outer_wall_slope[:, None, None] * self._outside).sum(0)
+        by_heat, by_vapour = torch.stack((j.pressure_slopes, j.wall_slopes[:2]), 1)[:, :, None]
+        outer = torch.zeros(2, *gel.shape, dtype=gel.dtype, device=gel.device)
+        outer[1] = j.wall_slopes[2] * gel
+        return by_heat * heat + by_vapour * heat_to_vapour, by_vapour * vapour, outer
+
+    def _border_matrix(self, heat: Tensor, vapour: Tensor, outer: Tensor) -> Tensor:
+        """The system in (R, U, p, q, tau_w) that is left when the fields are eliminated, ``5 x 5 x B``."""
+        j, shift = self._jacobian, self._shift
+        matrix = shift.new_zeros(5, 5, shift.shape[0])
+        matrix[0, 0] = matrix[2, 2] = shift
+        matrix[0, 1] = matrix[2, 3] = -1.0
+        matrix[1, :4] = -j.velocity_row
+        matrix[1, 1] += shift
+        rows = (heat[:, :, None] * j.inside_border[:, :, 0]).sum(1) + (
+            vapour[:, :, None] * j.inside_border[:, :, 1]
+        ).sum(1)
+        rows += (outer[:, :, None] * j.outside_border).sum(1)
+        matrix[3:] = -rows
+        matrix[3] -= j.pressure_row
+        matrix[3, 3] += 1.0
+        matrix[4] -= j.wall_row
+        return matrix
+
+    def solve(self, right: Tensor) -> Tensor:
+        """Solve for one right-hand side, ``(4 + 2n + m) x B`` in the layout of the state."""
+        j, n = self._jacobian, self._inside.shape[0]
+        inputs = torch.cat((right[:3], (self._functionals * right[4:]).sum(1)))
+        inputs[4] += right[3]
+        border = (self._border * inputs).sum(1)
+        solution = torch.empty_like(right)
+        solution[:3], solution[3] = border[:3], border[4]
+        sources = (j.inside_border * border[:, None]).sum(1)  # n x 2 x B
+        heat = (self._inside[:, :, 0] * (right[4 : 4 + n] + sources[:, 0])).sum(1)
+        drive = right[4 + n : 4 + 2 * n] + sources[:, 1] + j.coupling_slope * (self._slope @ heat) + j.coupling * heat
+        solution[4 : 4 + n] = heat
+        solution[4 + n : 4 + 2 * n] = (self._inside[:, :, 1] * drive).sum(1)
+        gel = right[4 + 2 * n :] + (j.outside_border * border).sum(1)
+        solution[4 + 2 * n :] = (self._outside * gel).sum(1)
+        return solution
+
+
+def _shifted_inverses(inside: Tensor, outside: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
+    """``(diag(shift) - blocks)^-1`` of the fields inside and outside, in one go where they are of one size."""
+    blocks = [inside, outside[:, :, None]]
+    if inside.shape[0] == outside.shape[0]:
+        blocks = [torch.cat(blocks, 2)]
+    for block in blocks:
+        block.neg_()
+        block.diagonal(dim1=0, dim2=1).add_(shift[:, None])
+    inverses = [invert(block) for block in blocks]
+    return inverses[0][:, :, :2], inverses[-1][:, :, -1]

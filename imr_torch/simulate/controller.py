@@ -1,0 +1,63 @@
+"""How long a step may be: an error estimate scaled to what matters, and the usual step-size rule.
+
+The largest of the scaled errors of ``R``, ``U``, ``ln P`` and of the fields (root mean square, temperatures at a lower
+weight) must stay below the tolerance; steps then change by ``0.8 err^(-1/4)`` (Hairer & Wanner 1996, section IV.8).
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+_SAFETY, _SHRINK, _GROW = 0.8, 0.1, 3.0
+_HEAT_WEIGHT = 0.3
+
+
+@dataclass(frozen=True)
+class Controller:
+    """Step sizes from error estimates.
+
+    Args:
+        tolerance: relative error allowed in a step.
+        first: first step of every member.
+        order: the inverse of the exponent.
+    """
+
+    tolerance: float
+    first: float = 1e-3
+    order: int = 4
+
+    def error(self, before: Tensor, after: Tensor, error: Tensor, inside: int) -> Tensor:
+        """Scaled error of a step, a ``B`` tensor: at most 1 if the step may be accepted, infinite or NaN if it failed.
+
+        Args:
+            before: ``nx x B`` tensor, the state before the step.
+            after: the state after it.
+            error: its estimated error.
+            inside: nodes inside the bubble.
+        """
+        radius = after[0]
+        speed = after[1].abs() + 0.1 * torch.sqrt(1.0 + torch.exp(after[2]))
+        heat, vapour, gel = error[4:].split((inside, inside, error.shape[0] - 4 - 2 * inside))
+        hottest = 0.1 + torch.maximum(before[4 : 4 + inside].abs().amax(0), after[4 : 4 + inside].abs().amax(0))
+        warmest = 0.01 + after[3].abs()
+        scaled = torch.stack(
+            (
+                error[0].abs() / radius,
+                error[1].abs() / speed,
+                error[2].abs(),
+                _HEAT_WEIGHT * _rms(heat) / hottest,
+                _rms(vapour),
+                _HEAT_WEIGHT * _rms(gel) / warmest,
+            )
+        )
+        return torch.where(radius > 0.0, scaled.amax(0) / self.tolerance, torch.inf)
+
+    def factor(self, error: Tensor) -> Tensor:
+        """What to multiply the step by."""
+        factor = _SAFETY * error ** (-1.0 / self.order)
+        return torch.where(torch.isfinite(error), factor.clamp(_SHRINK, _GROW), _SHRINK)
+
+
+def _rms(values: Tensor) -> Tensor:
+    return values.square().mean(0).sqrt()

@@ -1,0 +1,164 @@
+"""Where the fields live: spectral grids inside and outside the bubble, and the published second-order grid.
+
+Inside, even Chebyshev collocation on the mapped coordinate ``y = r/R = tanh(beta eta)/tanh(beta)`` resolves the thermal
+boundary layer with some sixteen nodes; outside, Chebyshev on ``y = 1 + L (1 - xi)/(1 + xi)`` reaches to infinity.
+References: Boyd, Chebyshev and Fourier Spectral Methods (2001), ch. 6, 8 and 17; Trefethen, Spectral Methods in MATLAB
+(2000), ch. 6 and 11.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from imr_torch.errors import InputDataError
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Collocation nodes on one side of the wall, and derivatives of a field known at the wall and at the nodes.
+
+    Args:
+        nodes: ``n`` tensor, ``r/R`` of the nodes; the wall (``r/R = 1``) is not among them.
+        first: ``(n+1) x (n+1)`` tensor, ``d/dy``; row and column 0 are the wall.
+        laplacian: ``n x (n+1)`` tensor, ``d^2/dy^2 + (2/y) d/dy`` at the nodes.
+    """
+
+    nodes: Tensor
+    first: Tensor
+    laplacian: Tensor
+
+    def __len__(self) -> int:
+        return self.nodes.shape[0]
+
+    def to(self, like: Tensor) -> "Grid":
+        """The grid in the dtype and on the device of ``like``."""
+        return Grid(self.nodes.to(like), self.first.to(like), self.laplacian.to(like))
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely space is cut.
+
+    Args:
+        inside: nodes in the bubble.
+        outside: nodes in the gel.
+        stretch: ``beta``, how much the inner nodes crowd at the wall.
+        reach: ``L``, the distance from the wall, in radii, within which half of the outer nodes lie.
+        kind: ``"spectral"``, or ``"authors"``: the uniform second-order grid of the published code (then ``stretch`` is
+            ignored and ``reach`` is its 2).
+    """
+
+    inside: int = 18
+    outside: int = 18
+    stretch: float = 2.0
+    reach: float = 0.02
+    kind: str = "spectral"
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("spectral", "authors"):
+            raise InputDataError(f"Resolution.kind is {self.kind!r}; expected 'spectral' or 'authors'.")
+        if not (4 <= self.inside <= 512 and 4 <= self.outside <= 512):
+            raise InputDataError(
+                f"Resolution has {self.inside} and {self.outside} nodes; expected 4 to 512 on each side."
+            )
+        if not (0.0 < self.stretch <= 6.0 and self.reach > 0.0):
+            raise InputDataError(
+                f"Resolution.stretch is {self.stretch} and reach {self.reach}; expected 0 < stretch <= 6 and reach > 0."
+            )
+
+    def grids(self) -> tuple[Grid, Grid]:
+        """The grids of the bubble and of the gel, float64."""
+        if self.kind == "authors":
+            return uniform_inside(self.inside), uniform_outside(self.outside, self.reach)
+        return chebyshev_inside(self.inside, self.stretch), chebyshev_outside(self.outside, self.reach)
+
+
+def chebyshev_inside(n: int, stretch: float) -> Grid:
+    """Even Chebyshev collocation with ``n`` nodes between centre and wall, none at either.
+
+    Args:
+        n: nodes.
+        stretch: ``beta`` of ``y = tanh(beta eta)/tanh(beta)``.
+    """
+    eta, slope = _chebyshev(2 * n + 1)
+    curvature = slope @ slope
+    half = slice(0, n + 1)
+    slope, curvature = (m[half, half] + m[half, n + 1 :].flip(1) for m in (slope, curvature))
+    eta = eta[half]
+    y = torch.tanh(stretch * eta) / math.tanh(stretch)
+    stretched = stretch / math.tanh(stretch) / torch.cosh(stretch * eta) ** 2
+    bend = -2.0 * stretch * torch.tanh(stretch * eta) * stretched
+    first = slope / stretched[:, None]
+    second = curvature / stretched[:, None] ** 2 - (bend / stretched**3)[:, None] * slope
+    return _grid(y, first, second)
+
+
+def chebyshev_outside(m: int, reach: float) -> Grid:
+    """Chebyshev collocation with ``m`` nodes between wall and infinity, where the field vanishes.
+
+    Args:
+        m: nodes.
+        reach: ``L`` of ``y = 1 + L (1 - xi)/(1 + xi)``.
+    """
+    xi, slope = _chebyshev(m + 1)
+    return _outer(xi, slope, slope @ slope, reach)
+
+
+def uniform_inside(nodes: int) -> Grid:
+    """The published code's inner grid: ``nodes`` uniform points from centre to wall, second-order differences."""
+    y = torch.linspace(1.0, 0.0, nodes, dtype=torch.float64)
+    first, second = _central(nodes, y[0] - y[1])
+    first[-1] = 0.0
+    laplacian = second + 2.0 / y.clamp_min(1e-30)[:, None] * first
+    step = y[0] - y[1]
+    laplacian[-1] = 0.0
+    laplacian[-1, -1], laplacian[-1, -2] = -6.0 / step**2, 6.0 / step**2  # 3 d^2/dy^2 of an even field
+    return Grid(y[1:].clone(), first, laplacian[1:].contiguous())
+
+
+def uniform_outside(nodes: int, reach: float) -> Grid:
+    """The published code's outer grid: ``nodes`` points uniform in ``xi`` from wall to infinity, second order."""
+    xi = torch.linspace(1.0, -1.0, nodes, dtype=torch.float64)
+    first, second = _central(nodes, xi[0] - xi[1])
+    return _outer(xi, first, second, reach)
+
+
+def _outer(xi: Tensor, slope: Tensor, curvature: Tensor, reach: float) -> Grid:
+    """Map derivatives in ``xi`` to ``y``, and drop infinity."""
+    keep = slice(0, len(xi) - 1)
+    xi, slope, curvature = xi[keep], slope[keep, keep], curvature[keep, keep]
+    y = 1.0 + reach * (1.0 - xi) / (1.0 + xi)
+    rate, bend = -((1.0 + xi) ** 2) / (2.0 * reach), -(1.0 + xi) / reach  # d xi/dy, and its derivative in xi
+    first = rate[:, None] * slope
+    return _grid(y, first, rate[:, None] * (bend[:, None] * slope + rate[:, None] * curvature))
+
+
+def _grid(y: Tensor, first: Tensor, second: Tensor) -> Grid:
+    laplacian = second + 2.0 / y[:, None] * first
+    return Grid(y[1:].clone(), first.contiguous(), laplacian[1:].contiguous())
+
+
+def _central(nodes: int, step: Tensor) -> tuple[Tensor, Tensor]:
+    """First and second central differences on nodes in falling order; one-sided and second-order at the wall."""
+    first = torch.zeros(nodes, nodes, dtype=torch.float64)
+    second = torch.zeros_like(first)
+    inner = torch.arange(1, nodes - 1)
+    first[inner, inner - 1], first[inner, inner + 1] = 0.5 / step, -0.5 / step
+    second[inner, inner - 1] = second[inner, inner + 1] = 1.0 / step**2
+    second[inner, inner] = -2.0 / step**2
+    first[0, :3] = torch.tensor([1.5, -2.0, 0.5], dtype=torch.float64) / step
+    return first, second
+
+
+def _chebyshev(count: int) -> tuple[Tensor, Tensor]:
+    """The ``count + 1`` Chebyshev extrema from 1 to -1 and their derivative (Trefethen 2000, eqs. 6.3-6.5)."""
+    index = torch.arange(count + 1, dtype=torch.float64)
+    x = torch.cos(math.pi * index / count)
+    weight = torch.where((index == 0) | (index == count), 2.0, 1.0) * (-1.0) ** index
+    sums, differences = 0.5 * (index[:, None] + index), 0.5 * (index - index[:, None])
+    distance = 2.0 * torch.sin(math.pi * sums / count) * torch.sin(math.pi * differences / count)  # x_i - x_j, exactly
+    matrix = weight[:, None] / weight / (distance + torch.eye(count + 1, dtype=torch.float64))
+    matrix.fill_diagonal_(0.0)
+    return x, matrix - torch.diag(matrix.sum(1))

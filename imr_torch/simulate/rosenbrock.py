@@ -1,0 +1,104 @@
+"""One linearly implicit step of a stiff differential-algebraic system, with a step of each member's own.
+
+A Rosenbrock method replaces the Newton iteration of an implicit Runge-Kutta method by linear systems with one exact
+Jacobian a step (Hairer & Wanner, Solving Ordinary Differential Equations II, 2nd ed. 1996, sections IV.7 and VI.4; in
+the form that avoids products with the Jacobian). Rodas4P is stiffly accurate, of order 4 with an embedded method of
+order 3, and keeps its order for parabolic equations with boundary values that change (Steinebach, preprint 1741, TH
+Darmstadt 1995).
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from imr_torch.simulate.bordered import Factors
+from imr_torch.simulate.linearise import linearise
+from imr_torch.simulate.rhs import Equations
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """Coefficients of a stiffly accurate Rosenbrock method.
+
+    Args:
+        gamma: diagonal coefficient.
+        stages: row ``i`` weighs the earlier increments in the argument of stage ``i + 1``.
+        coupling: row ``i`` weighs the earlier increments, over the step, on its right-hand side.
+        order: of the embedded method plus one; the step controller's exponent is its inverse.
+    """
+
+    gamma: float
+    stages: tuple[tuple[float, ...], ...]
+    coupling: tuple[tuple[float, ...], ...]
+    order: int
+
+
+_LAST = (-7.170454962423024, -4.741636671481785, -16.31002631330971, -1.062004044111401)
+
+RODAS4P = Tableau(
+    gamma=0.25,
+    stages=(
+        (3.0,),
+        (1.831036793486759, 0.4955183967433795),
+        (2.304376582692669, -0.05249275245743001, -1.176798761832782),
+        _LAST,
+        (*_LAST, 1.0),
+    ),
+    coupling=(
+        (-12.0,),
+        (-8.791795173947035, -2.207865586973518),
+        (10.81793056857153, 6.780270611428266, 19.53485944642410),
+        (34.19095006749676, 15.49671153725963, 54.74760875964130, 14.16005392148534),
+        (34.62605830930532, 15.30084976114473, 56.99955578662667, 18.40807009793095, -5.714285714285717),
+    ),
+    order=4,
+)
+"""The last stage is the error estimate; its argument plus itself is the new state."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one step gave.
+
+    Args:
+        state: ``nx x B`` tensor, the state after the step.
+        error: ``nx x B`` tensor, estimate of its error.
+        acceleration: ``B`` tensor, ``U'`` before the step.
+        pressure_rate: ``B`` tensor, ``dP/dt`` before the step.
+    """
+
+    state: Tensor
+    error: Tensor
+    acceleration: Tensor
+    pressure_rate: Tensor
+
+
+def rosenbrock_step(equations: Equations, state: Tensor, step: Tensor, tableau: Tableau = RODAS4P) -> Step:
+    """Advance every member by its own step.
+
+    Args:
+        equations: the system.
+        state: ``nx x B`` tensor.
+        step: ``B`` tensor.
+        tableau: the method.
+    """
+    fields = equations.fields(state)
+    acceleration, jacobian = linearise(equations, fields)
+    inside, outside = equations.inside.first, equations.outside.first
+    shift = 1.0 / (tableau.gamma * step)
+    factors = Factors(jacobian, shift, inside[1:, 1:], inside[0, 1:], outside[0, 1:])
+    inverse_step = (1.0 / step).repeat(4, 1)
+    inverse_step[3] = 0.0  # tau_w is algebraic
+    increments = state.new_empty(len(tableau.stages) + 1, *state.shape)
+    increments[0] = factors.solve(equations.rate(fields, acceleration))
+    argument = state
+    for i, weights in enumerate(zip(tableau.stages, tableau.coupling, strict=True), start=1):
+        rows = torch.tensor(weights, dtype=state.dtype, device=state.device)
+        offset, right = (rows @ increments[:i].reshape(i, -1)).reshape(2, *state.shape)
+        argument = state + offset
+        right[:4] *= inverse_step
+        right[4:] *= inverse_step[0]
+        right += equations.rate(equations.fields(argument))
+        increments[i] = factors.solve(right)
+    return Step(argument + increments[-1], increments[-1], acceleration, fields.rate)

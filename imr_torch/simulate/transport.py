@@ -1,0 +1,104 @@
+"""The full-physics simulator: Keller-Miksis with heat conduction, evaporation and a warm gel, a batch at a time.
+
+Fields are resolved spectrally (:mod:`~imr_torch.simulate.grids`), time by a linearly implicit method with the exact
+Jacobian (:mod:`~imr_torch.simulate.rosenbrock`) and steps of each member's own (:mod:`~imr_torch.simulate.stream`).
+"""
+
+import warnings
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from imr_torch.errors import InputDataError, PrecisionWarning
+from imr_torch.simulate.bubbles import Bubbles
+from imr_torch.simulate.conditions import Conditions
+from imr_torch.simulate.controller import Controller
+from imr_torch.simulate.grids import Resolution
+from imr_torch.simulate.rhs import Equations
+from imr_torch.simulate.simulator import Solution, broadcast_batch, check_times
+from imr_torch.simulate.stream import Stream
+from imr_torch.simulate.wall import check_designs
+
+_BATCH = 4000  # members whose paths are held in memory together
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How finely time and space are cut.
+
+    Args:
+        tolerance: relative error of a step.
+        resolution: grids inside and outside the bubble.
+        max_steps: attempted steps after which a member is given up.
+        slots: members that advance together.
+    """
+
+    tolerance: float = 3e-4
+    resolution: Resolution = field(default_factory=Resolution)
+    max_steps: int = 20000
+    slots: int = 500
+
+    def __post_init__(self) -> None:
+        if not 1e-12 <= self.tolerance <= 1e-1:
+            raise InputDataError(
+                f"Accuracy.tolerance is {self.tolerance}; expected 1e-12 to 0.1 (3e-4 is the default)."
+            )
+        if self.max_steps < 1 or self.slots < 1:
+            raise InputDataError(
+                f"Accuracy needs max_steps and slots of at least 1, got {self.max_steps} and {self.slots}."
+            )
+
+
+ACCURACIES = {
+    "fast": Accuracy(1e-3, Resolution(14, 14)),
+    "default": Accuracy(),
+    "reference": Accuracy(1e-6, Resolution(32, 32), max_steps=100000),
+}
+"""Named settings; their measured errors are in ``benchmarks/RESULTS.md``."""
+
+
+@dataclass(frozen=True)
+class TransportSimulator:
+    """A :class:`~imr_torch.simulate.Simulator` with heat and vapour transport.
+
+    Args:
+        conditions: surroundings, contents and gel; see ``PRESETS``.
+        accuracy: how finely time and space are cut; see ``ACCURACIES``.
+    """
+
+    conditions: Conditions = field(default_factory=Conditions)
+    accuracy: Accuracy = field(default_factory=Accuracy)
+
+    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
+
+        Raises:
+            ShapeError: if shapes do not fit.
+            InputDataError: if a design is impossible, or times are not increasing and finite.
+        """
+        shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
+        check_designs(designs)
+        check_times(times)
+        if parameters.dtype != torch.float64:
+            warnings.warn("float32 is too short for inference; use float64 parameters.", PrecisionWarning, stacklevel=2)
+        designs, times = designs.to(parameters), times.to(parameters)
+        blocks = zip(parameters.split(_BATCH), designs.split(_BATCH), times.split(_BATCH), strict=True)
+        with torch.no_grad():
+            parts = [self._solve(*block) for block in blocks]
+        fields = [torch.cat(columns) for columns in zip(*parts, strict=True)]
+        radius, velocity, pressure = (x.reshape(*shape, -1) for x in fields[:3])
+        status, steps = (x.reshape(shape) for x in fields[3:])
+        return Solution(times.reshape(*shape, -1), radius, velocity, pressure, status, steps)
+
+    def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[Tensor, ...]:
+        """One block of members: radius, velocity, pressure, status, steps."""
+        settings = self.accuracy
+        bubbles = Bubbles.of(parameters, designs, self.conditions)
+        inside, outside = (grid.to(parameters) for grid in settings.resolution.grids())
+        controller = Controller(settings.tolerance)
+        path = Stream(
+            Equations(bubbles, inside, outside), times[:, -1], controller, settings.slots, settings.max_steps
+        ).run()
+        radius, velocity, pressure = path.at(times)
+        return radius, velocity, pressure + bubbles.constants.constant_vapour, path.status, path.count

@@ -1,0 +1,38 @@
+"""The published code's cases through this toolkit: ``radius(case, t_star)``."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from imr_torch.errors import UnsupportedError
+from imr_torch.material import MATERIALS, PARAMETERS
+from imr_torch.simulate import ACCURACIES, Accuracy, Resolution, TransportSimulator, preset
+
+GRIDS: dict[str, Accuracy] = {
+    "converged": ACCURACIES["reference"],
+    # NT = NTM = 240 points and L = 2; the tolerance resolves that grid's own solution
+    "authors_240": replace(
+        ACCURACIES["reference"], tolerance=1e-5, resolution=Resolution(240, 240, 2.0, 2.0, "authors")
+    ),
+}
+COLUMNS = {"G": "G_Pa", "mu": "mu_Pa_s", "alpha": "alpha"}
+
+
+def radius(case: Mapping[str, Any], t_star: np.ndarray) -> np.ndarray:
+    """``R*`` at ``t_star``, same shape, of a case with the keys of the published set plus ``preset`` and ``grid``.
+
+    Raises:
+        UnsupportedError: for a constitutive model that is not in the registry.
+    """
+    model = case["equivalent_model"]
+    if model not in MATERIALS or not set(MATERIALS[model].names) <= set(COLUMNS):
+        raise UnsupportedError(f"Model {model!r} is not in the registry; known are {', '.join(MATERIALS)}.")
+    names = MATERIALS[model].names
+    parameters = PARAMETERS.pack({name: float(case[COLUMNS[name]]) for name in names})
+    designs = torch.tensor([case["We"], case["Rinf_star"]], dtype=torch.float64)
+    simulator = TransportSimulator(preset(case.get("preset", "published")), GRIDS[case.get("grid", "converged")])
+    times = torch.as_tensor(np.asarray(t_star, dtype=np.float64))
+    return simulator(parameters, designs, times).radius.numpy()

@@ -1,0 +1,207 @@
+"""The full-physics simulator: its contract, its physics in the limits that are known, its robustness."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from numpy.polynomial import legendre
+
+from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.material import PARAMETERS, reference_case
+from imr_torch.simulate import (
+    ACCURACIES,
+    PRESETS,
+    Accuracy,
+    Conditions,
+    GasMixture,
+    Medium,
+    PolytropicGas,
+    PolytropicSimulator,
+    Resolution,
+    Status,
+    TransportSimulator,
+    preset,
+)
+from imr_torch.simulate.bubbles import Bubbles
+from imr_torch.simulate.controller import Controller
+from imr_torch.simulate.rhs import HEAD, Equations
+from imr_torch.simulate.rosenbrock import rosenbrock_step
+
+TIMES = torch.linspace(0.0, 2.5, 51, dtype=torch.float64)
+GEL = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48})
+DESIGN = torch.tensor([550.0, 0.22], dtype=torch.float64)
+CLOSURES = {
+    **PRESETS,
+    "cold gel": Conditions(medium=Medium(warm=False)),
+    "dry gas": Conditions(mixture=GasMixture(vapour="absent")),
+    "constant vapour": Conditions(mixture=GasMixture(vapour="constant")),
+}
+
+
+def draws(count):
+    """Gels of the paper's prior and designs all over its box."""
+    random = torch.Generator().manual_seed(11)
+    parameters = reference_case("stiff-pa").prior.sample(count, seed=11).parameters
+    low, high = torch.tensor([100.0, 0.14]), torch.tensor([1000.0, 0.30])
+    return parameters, low + (high - low) * torch.rand(count, 2, generator=random, dtype=torch.float64)
+
+
+def test_batch_shapes_broadcast_and_every_member_is_done():
+    designs = torch.tensor([[[550.0, 0.22]], [[300.0, 0.3]]], dtype=torch.float64)
+    solution = TransportSimulator(accuracy=ACCURACIES["fast"])(GEL.expand(3, -1), designs, TIMES)
+    assert solution.radius.shape == (2, 3, 51)
+    assert solution.ok.all()
+    assert torch.equal(solution.radius[..., 0], torch.ones(2, 3, dtype=torch.float64))
+    assert solution.radius.dtype == torch.float64
+
+
+def test_a_member_does_not_depend_on_its_neighbours_or_on_the_slots():
+    parameters, designs = draws(12)
+    together = TransportSimulator(accuracy=Accuracy(slots=5))(parameters, designs, TIMES)
+    alone = [TransportSimulator()(parameters[i], designs[i], TIMES).radius for i in (0, 5, 11)]
+    assert float((together.radius[[0, 5, 11]] - torch.stack(alone)).abs().max()) < 1e-9
+
+
+def test_default_accuracy_meets_its_target_on_prior_draws():
+    parameters, designs = draws(12)
+    radius = [
+        TransportSimulator(accuracy=a)(parameters, designs, TIMES).radius
+        for a in (Accuracy(), Accuracy(1e-5, Resolution(24, 24)))
+    ]
+    error = (radius[0] - radius[1]).abs().amax(1)
+    assert float(error.median()) < 1e-3
+    assert float(error.max()) < 3e-3
+
+
+def test_velocity_is_the_slope_of_the_radius_and_pressure_peaks_at_collapse():
+    centres, eps = torch.linspace(0.05, 2.0, 400, dtype=torch.float64), 1e-5
+    times = (centres[:, None] + torch.tensor([-eps, 0.0, eps], dtype=torch.float64)).reshape(-1)
+    solution = TransportSimulator()(GEL, DESIGN, times)
+    radius, velocity = solution.radius.reshape(-1, 3), solution.velocity.reshape(-1, 3)[:, 1]
+    slope = (radius[:, 2] - radius[:, 0]) / (2.0 * eps)
+    assert float((slope - velocity).abs().max()) < 1e-3
+    assert abs(int(solution.bubble_pressure.argmax()) - int(solution.radius.argmin())) <= 3
+
+
+@pytest.mark.parametrize("conditions", CLOSURES.values(), ids=CLOSURES)
+def test_an_equilibrium_bubble_stays_put(conditions):
+    parameters = PARAMETERS.pack({"G": 5e3, "mu": 0.1, "alpha": 0.5}).expand(1, -1)
+    equations = Equations(Bubbles.of(parameters, DESIGN[None], conditions), *Resolution().grids())
+    pressure = 1.0 + 1.0 / (DESIGN[0] * DESIGN[1]) - equations.bubbles.constants.constant_vapour
+    state = equations.start()
+    state[0], state[2] = DESIGN[1], pressure.log()
+    wall = equations.fields(state).wall.vapour
+    state[HEAD + equations.n : HEAD + 2 * equations.n] = wall
+    assert float(equations.rate(equations.fields(state)).abs().max()) < 1e-8
+
+
+def test_air_is_neither_made_nor_lost():
+    equations = Equations(Bubbles.of(GEL[None], DESIGN[None], Conditions()), *Resolution(24, 24).grids())
+    controller = Controller(1e-5)
+    state, step = equations.start(), torch.tensor([1e-3], dtype=torch.float64)
+    masses, time = [air(equations, state)], 0.0
+    while time < 1.2:
+        trial = rosenbrock_step(equations, state, step)
+        error = controller.error(state, trial.state, trial.error, equations.n)
+        if error <= 1.0:
+            state, time = trial.state, time + float(step)
+            masses.append(air(equations, state))
+        step = step * controller.factor(error)
+    assert max(masses) / min(masses) - 1.0 < 1e-4
+
+
+def air(equations, state):
+    """Mass of air over 4 pi, by spectral quadrature of ``(1 - C) P/(R_mix T) R^3 y^2`` over ``y``."""
+    f, n = equations.fields(state), equations.n
+    stretch = Resolution().stretch
+    y = np.concatenate(([1.0], equations.inside.nodes.numpy()))
+    nodes, weights = legendre.leggauss(80)
+    fine = 0.5 * (nodes + 1.0)
+
+    def basis(y):
+        eta = np.arctanh(y * math.tanh(stretch)) / stretch
+        return np.cos(2.0 * np.arange(n + 1) * np.arccos(np.clip(eta, -1.0, 1.0))[:, None])
+
+    quadrature = (0.5 * weights * fine**2) @ basis(fine) @ np.linalg.inv(basis(y))
+    vapour = torch.cat((f.wall.vapour[None], state[HEAD + n : HEAD + 2 * n]))
+    mixture = torch.cat((f.wall.mixture[None], f.mixture))
+    temperature = torch.cat((f.wall.temperature[None], f.temperature))
+    density = ((1.0 - vapour) * f.pressure / (mixture * temperature) * f.radius**3)[:, 0].numpy()
+    return float(quadrature @ density)
+
+
+@pytest.mark.parametrize(("factor", "exponent"), [(1e5, 1.0), (1e-5, 1.4)], ids=["isothermal", "adiabatic"])
+def test_perfect_and_absent_conduction_are_the_polytropic_limits(factor, exponent):
+    mixture = GasMixture(conductivity_slope=5.3e-5 * factor, conductivity_offset=1.17e-2 * factor, vapour="absent")
+    gas = PolytropicGas(exponent, vapour=False)
+    conditions = Conditions(gas=gas, mixture=mixture, medium=Medium(warm=False))
+    parameters, designs = PARAMETERS.pack({"G": 2770.0, "mu": 0.2}), torch.tensor([300.0, 0.3], dtype=torch.float64)
+    transport = TransportSimulator(conditions, Accuracy(1e-5, Resolution(32, 8)))(parameters, designs, TIMES)
+    polytropic = PolytropicSimulator(conditions)(parameters, designs, TIMES)
+    assert float((transport.radius - polytropic.radius).abs().max()) < 5e-3
+
+
+@pytest.fixture(scope="module")
+def by_closure():
+    return {name: TransportSimulator(c, ACCURACIES["fast"])(GEL, DESIGN, TIMES) for name, c in CLOSURES.items()}
+
+
+def test_every_closure_runs_and_damps_the_bubble(by_closure):
+    for solution in by_closure.values():
+        assert solution.ok.all()
+        assert float(solution.radius[25:].max()) < 0.95
+        assert float(solution.radius.min()) > 0.02
+
+
+def test_closures_differ(by_closure):
+    radius = [solution.radius for solution in by_closure.values()]
+    for i in range(len(radius)):
+        for other in radius[:i]:
+            assert float((radius[i] - other).abs().max()) > 1e-3
+
+
+def test_a_member_that_fails_has_a_status_and_leaves_the_others_alone():
+    parameters = PARAMETERS.pack({"mu": torch.tensor([0.3, 1e-3], dtype=torch.float64), "G": 6e2})
+    designs = torch.tensor([[100.0, 0.4], [1500.0, 0.1]], dtype=torch.float64)
+    solution = TransportSimulator(accuracy=Accuracy(max_steps=90))(parameters, designs, TIMES)
+    assert solution.status.tolist() == [Status.DONE, Status.TOO_MANY_STEPS]
+    assert torch.isfinite(solution.radius[0]).all()
+    assert torch.isfinite(solution.radius[1, :10]).all()
+    assert torch.isnan(solution.radius[1, -1])
+    assert "TOO_MANY_STEPS" in solution.summary()
+
+
+def test_a_wide_box_of_gels_and_designs_is_solved():
+    random = torch.Generator().manual_seed(2)
+    low, high = torch.tensor([50.0, 0.08, 0.0, 0.0, 0.0]), torch.tensor([2000.0, 0.5, 3e5, 1.0, 0.3])
+    box = low + (high - low) * torch.rand(40, 5, generator=random, dtype=torch.float64)
+    parameters = PARAMETERS.pack({"G": box[:, 2], "mu": box[:, 3], "alpha": box[:, 4]})
+    solution = TransportSimulator(accuracy=ACCURACIES["fast"])(parameters, box[:, :2], TIMES)
+    assert solution.ok.all(), solution.summary()
+    assert torch.isfinite(solution.radius).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: preset("estrada"), "known are published, authors_code"),
+        (lambda: GasMixture(vapour="wet"), "expected 'transported', 'constant' or 'absent'"),
+        (lambda: GasMixture(heat_ratio=1.0), "expected above 1"),
+        (lambda: GasMixture(diffusivity=-1.0), "GasMixture.diffusivity is -1.0"),
+        (lambda: Medium(heat_capacity=math.nan), "Medium.heat_capacity is nan"),
+        (lambda: Medium(capacity_of="air"), "expected 'medium' or 'gas_wall'"),
+        (lambda: Accuracy(tolerance=0.0), "expected 1e-12 to 0.1"),
+        (lambda: Accuracy(slots=0), "slots of at least 1"),
+        (lambda: TransportSimulator()(GEL, torch.tensor([550.0, 1.2]), TIMES), "0 < R_inf\\* < 1"),
+        (lambda: TransportSimulator()(GEL, DESIGN, TIMES.flip(0)), "do not increase"),
+    ],
+)
+def test_bad_input_is_refused_with_advice(make, text):
+    with pytest.raises(InputDataError, match=text):
+        make()
+
+
+def test_a_wrong_shape_is_refused():
+    with pytest.raises(ShapeError, match="batch_shape x 2"):
+        TransportSimulator()(GEL, torch.tensor([550.0, 0.2, 1.0]), TIMES)
