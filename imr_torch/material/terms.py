@@ -25,9 +25,7 @@ class NewtonianViscosity:
         value = factor * velocity
         return Stress(value, -value * velocity / radius, factor)
 
-    def slopes(
-        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]
-    ) -> StressSlopes:
+    def slopes(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> StressSlopes:
         """See :func:`stress_slopes`."""
         per_radius = 1.0 / radius
         factor = -4.0 * theta["mu"] * per_radius
@@ -51,9 +49,7 @@ class NeoHookeanElasticity:
         slope = -4.0 * half * inverse * (1.0 + cubed)  # dS/d(ln l)
         return Stress(value, slope * velocity / radius, torch.zeros_like(value))
 
-    def slopes(
-        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]
-    ) -> StressSlopes:
+    def slopes(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> StressSlopes:
         """See :func:`stress_slopes`."""
         inverse = rest_radius / radius
         cubed = inverse**3
@@ -81,9 +77,7 @@ class StrainStiffening:
         slope = scale * (-2.0 * x4 * x4 - 2.0 * x4 * x + 6.0 * x4 - 4.0 * x2 + 6.0 * x - 4.0 * stretch)  # dS/d(ln l)
         return Stress(value, slope * velocity / radius, torch.zeros_like(value))
 
-    def slopes(
-        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]
-    ) -> StressSlopes:
+    def slopes(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> StressSlopes:
         """See :func:`stress_slopes`."""
         x = rest_radius / radius
         stretch = 4.0 * radius / rest_radius

@@ -80,9 +80,7 @@ class Factors:
         outer_wall_slope: ``m`` tensor, the same outside.
     """
 
-    def __init__(
-        self, jacobian: Jacobian, shift: Tensor, slope: Tensor, wall_slope: Tensor, outer_wall_slope: Tensor
-    ) -> None:
+    def __init__(self, jacobian: Jacobian, shift: Tensor, slope: Tensor, wall_slope: Tensor, outer_wall_slope: Tensor) -> None:
         self._jacobian, self._shift, self._slope = jacobian, shift, slope
         self._inside, self._outside = _shifted_inverses(jacobian.inside, jacobian.outside, shift)
         rows = self._wall_functionals(wall_slope, outer_wall_slope)
@@ -113,9 +111,7 @@ class Factors:
         matrix[0, 1] = matrix[2, 3] = -1.0
         matrix[1, :4] = -j.velocity_row
         matrix[1, 1] += shift
-        rows = (heat[:, :, None] * j.inside_border[:, :, 0]).sum(1) + (
-            vapour[:, :, None] * j.inside_border[:, :, 1]
-        ).sum(1)
+        rows = (heat[:, :, None] * j.inside_border[:, :, 0]).sum(1) + (vapour[:, :, None] * j.inside_border[:, :, 1]).sum(1)
         rows += (outer[:, :, None] * j.outside_border).sum(1)
         matrix[3:] = -rows
         matrix[3] -= j.pressure_row

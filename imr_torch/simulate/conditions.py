@@ -57,13 +57,9 @@ class Stepping:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.step <= 0.5:
-            raise InputDataError(
-                f"Stepping.step is {self.step}; expected above 0 and at most 0.5 (0.15 is the default)."
-            )
+            raise InputDataError(f"Stepping.step is {self.step}; expected above 0 and at most 0.5 (0.15 is the default).")
         if self.max_steps < 1 or self.retries < 0:
-            raise InputDataError(
-                f"Stepping needs max_steps >= 1 and retries >= 0, got {self.max_steps} and {self.retries}."
-            )
+            raise InputDataError(f"Stepping needs max_steps >= 1 and retries >= 0, got {self.max_steps} and {self.retries}.")
 
 
 STEPPINGS = {"fast": Stepping(0.25), "default": Stepping(), "reference": Stepping(0.05, max_steps=60000)}
@@ -99,9 +95,7 @@ class GasMixture:
 
     def __post_init__(self) -> None:
         if self.vapour not in ("transported", "constant", "absent"):
-            raise InputDataError(
-                f"GasMixture.vapour is {self.vapour!r}; expected 'transported', 'constant' or 'absent'."
-            )
+            raise InputDataError(f"GasMixture.vapour is {self.vapour!r}; expected 'transported', 'constant' or 'absent'.")
         if not 1.0 < self.heat_ratio <= 5.0 / 3.0:
             raise InputDataError(f"GasMixture.heat_ratio is {self.heat_ratio}; expected above 1 and at most 5/3.")
         _positive(self, "conductivity_slope conductivity_offset diffusivity gas_constant vapour_mass air_mass")
@@ -137,9 +131,7 @@ def _positive(options: object, names: str) -> None:
     for name in names.split():
         if not 0.0 < getattr(options, name) < math.inf:
             kind = type(options).__name__
-            raise InputDataError(
-                f"{kind}.{name} is {getattr(options, name)}; it must be a positive finite number in SI units."
-            )
+            raise InputDataError(f"{kind}.{name} is {getattr(options, name)}; it must be a positive finite number in SI units.")
 
 
 @dataclass(frozen=True)

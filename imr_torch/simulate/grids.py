@@ -60,9 +60,7 @@ class Resolution:
         if self.kind not in ("spectral", "authors"):
             raise InputDataError(f"Resolution.kind is {self.kind!r}; expected 'spectral' or 'authors'.")
         if not (4 <= self.inside <= 512 and 4 <= self.outside <= 512):
-            raise InputDataError(
-                f"Resolution has {self.inside} and {self.outside} nodes; expected 4 to 512 on each side."
-            )
+            raise InputDataError(f"Resolution has {self.inside} and {self.outside} nodes; expected 4 to 512 on each side.")
         if not (0.0 < self.stretch <= 6.0 and self.reach > 0.0):
             raise InputDataError(
                 f"Resolution.stretch is {self.stretch} and reach {self.reach}; expected 0 < stretch <= 6 and reach > 0."

@@ -67,9 +67,7 @@ class RosenbrockMethod:
     def __init__(self, func, y0: Tensor, rtol: float, atol: float, max_steps: int = 100000, **_: object) -> None:
         field = getattr(func, "base_func", func)
         if not isinstance(field, TransportField):
-            raise UnsupportedError(
-                f"method={METHOD!r} needs a TransportField in rising time, got {type(field).__name__}."
-            )
+            raise UnsupportedError(f"method={METHOD!r} needs a TransportField in rising time, got {type(field).__name__}.")
         self._equations, self._state, self._max_steps = field.equations, y0, max_steps
         self._controller = Controller(float(rtol))
 
@@ -108,9 +106,7 @@ class RosenbrockMethod:
             step = torch.where(moving, proposed, step)
             if not bool((left > 0.0).any()):
                 return state, step
-        raise ConvergenceError(
-            f"{int((left > 0.0).sum())} bubbles took more than {self._max_steps} steps in one interval."
-        )
+        raise ConvergenceError(f"{int((left > 0.0).sum())} bubbles took more than {self._max_steps} steps in one interval.")
 
 
 SOLVERS.setdefault(METHOD, RosenbrockMethod)

@@ -41,13 +41,9 @@ class Accuracy:
 
     def __post_init__(self) -> None:
         if not 1e-12 <= self.tolerance <= 1e-1:
-            raise InputDataError(
-                f"Accuracy.tolerance is {self.tolerance}; expected 1e-12 to 0.1 (3e-4 is the default)."
-            )
+            raise InputDataError(f"Accuracy.tolerance is {self.tolerance}; expected 1e-12 to 0.1 (3e-4 is the default).")
         if self.max_steps < 1 or self.slots < 1:
-            raise InputDataError(
-                f"Accuracy needs max_steps and slots of at least 1, got {self.max_steps} and {self.slots}."
-            )
+            raise InputDataError(f"Accuracy needs max_steps and slots of at least 1, got {self.max_steps} and {self.slots}.")
 
 
 ACCURACIES = {
@@ -97,8 +93,6 @@ class TransportSimulator:
         bubbles = Bubbles.of(parameters, designs, self.conditions)
         inside, outside = (grid.to(parameters) for grid in settings.resolution.grids())
         controller = Controller(settings.tolerance)
-        path = Stream(
-            Equations(bubbles, inside, outside), times[:, -1], controller, settings.slots, settings.max_steps
-        ).run()
+        path = Stream(Equations(bubbles, inside, outside), times[:, -1], controller, settings.slots, settings.max_steps).run()
         radius, velocity, pressure = path.at(times)
         return radius, velocity, pressure + bubbles.constants.constant_vapour, path.status, path.count

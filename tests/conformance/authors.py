@@ -14,9 +14,7 @@ from imr_torch.simulate import ACCURACIES, Accuracy, Resolution, TransportSimula
 GRIDS: dict[str, Accuracy] = {
     "converged": ACCURACIES["reference"],
     # NT = NTM = 240 points and L = 2; the tolerance resolves that grid's own solution
-    "authors_240": replace(
-        ACCURACIES["reference"], tolerance=1e-5, resolution=Resolution(240, 240, 2.0, 2.0, "authors")
-    ),
+    "authors_240": replace(ACCURACIES["reference"], tolerance=1e-5, resolution=Resolution(240, 240, 2.0, 2.0, "authors")),
 }
 COLUMNS = {"G": "G_Pa", "mu": "mu_Pa_s", "alpha": "alpha"}
 

@@ -29,10 +29,7 @@ def oracle(shared):
 def simulate(cases, times, key, accuracy):
     columns = {"G": "G_Pa", "mu": "mu_Pa_s", "alpha": "alpha"}
     parameters = PARAMETERS.pack(
-        {
-            name: torch.tensor([float(c[column]) for _, c in cases], dtype=torch.float64)
-            for name, column in columns.items()
-        }
+        {name: torch.tensor([float(c[column]) for _, c in cases], dtype=torch.float64) for name, column in columns.items()}
     )
     designs = torch.tensor([[c["We"], c["Rinf_star"]] for _, c in cases], dtype=torch.float64)
     return TransportSimulator(preset(key), accuracy)(parameters, designs, torch.as_tensor(times)).radius.numpy()
