@@ -10,7 +10,7 @@ from importlib.metadata import version
 from imr_torch.characterize import Characterization, characterize
 from imr_torch.material import Belief, reference_case, wide_prior
 from imr_torch.observe import load_traces
-from imr_torch.simulate import PolytropicSimulator
+from imr_torch.simulate import PolytropicSimulator, TransportSimulator
 
 __version__ = version("imr-torch")
 
@@ -18,6 +18,7 @@ __all__ = [
     "Belief",
     "Characterization",
     "PolytropicSimulator",
+    "TransportSimulator",
     "characterize",
     "load_traces",
     "reference_case",

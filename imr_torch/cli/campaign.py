@@ -22,7 +22,16 @@ import torch
 
 from imr_torch.campaign import Campaign, CampaignSettings, Journal
 from imr_torch.characterize import intervals, predictive_band, prepare
-from imr_torch.cli.common import add_prior_arguments, parse_pair, prior_of, progress_of, save_figure, write_result
+from imr_torch.cli.common import (
+    add_physics_argument,
+    add_prior_arguments,
+    parse_pair,
+    prior_of,
+    progress_of,
+    save_figure,
+    simulator_of,
+    write_result,
+)
 from imr_torch.cli.design import add_space_arguments, space_of
 from imr_torch.design import Plan
 from imr_torch.errors import InputDataError
@@ -30,7 +39,6 @@ from imr_torch.material import PARAMETERS, ReferenceCase, reference_case
 from imr_torch.observe import Experiment, Layout, SimulatedLaboratory, load_traces
 from imr_torch.plot import plot_experiment, plot_information, plot_parameter, plot_probabilities
 from imr_torch.random import child
-from imr_torch.simulate import PolytropicSimulator
 
 NAME = "campaign"
 SUMMARY = "design, shoot, learn, and again"
@@ -45,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="TEXT", help="how to read told files, as for characterize")
     parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax of told files without a tail")
     add_space_arguments(parser)
+    add_physics_argument(parser)
     add_prior_arguments(parser)
 
 
@@ -60,7 +69,7 @@ def run(args: argparse.Namespace) -> None:
         raise InputDataError(f"{folder} holds no journal to resume; leave --resume away to start one.")
     if args.designs < 1:
         raise InputDataError(f"--designs is {args.designs}; expected at least 1.")
-    simulator = PolytropicSimulator()
+    simulator = simulator_of(args)
     settings = CampaignSettings(
         space=space_of(args),
         plan=Plan(repeats=args.repeats),

@@ -13,18 +13,20 @@ from pathlib import Path
 
 from imr_torch.characterize import Characterization, characterize, predictive_band
 from imr_torch.cli.common import (
+    add_physics_argument,
     add_prior_arguments,
     file_name,
     parse_pair,
     prior_of,
     progress_of,
     save_figure,
+    simulator_of,
     write_result,
 )
 from imr_torch.material import Belief
 from imr_torch.observe import Layout, TraceSet, load_traces
 from imr_torch.plot import plot_experiment, plot_parameter, plot_probabilities
-from imr_torch.simulate import PolytropicSimulator, Simulator
+from imr_torch.simulate import Simulator
 
 NAME = "characterize"
 SUMMARY = "properties of a gel from measured R(t) files"
@@ -45,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="observation noise: scale and correlation time estimated from the residuals (default), or the published law",
     )
     parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
+    add_physics_argument(parser)
     add_prior_arguments(parser)
 
 
@@ -67,7 +70,7 @@ def run(args: argparse.Namespace) -> None:
 
 def _characterize(traces: TraceSet, args: argparse.Namespace, folder: Path | None) -> Characterization:
     """Fit some curves together, print the result, draw its figures."""
-    prior, simulator = prior_of(args), PolytropicSimulator()
+    prior, simulator = prior_of(args), simulator_of(args)
     result = characterize(
         traces,
         prior=prior,

@@ -13,7 +13,9 @@ from matplotlib.axes import Axes
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
+from imr_torch.simulate import PolytropicSimulator, Simulator, TransportSimulator
 
+SIMULATORS: dict[str, Callable[[], Simulator]] = {"polytropic": PolytropicSimulator, "transport": TransportSimulator}
 DEFAULT_MODELS = "newtonian,nhkv,gen_qkv"
 
 
@@ -33,6 +35,21 @@ def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE,...",
         help="independently measured parameters in SI (qkv needs G=...)",
     )
+
+
+def add_physics_argument(parser: argparse.ArgumentParser) -> None:
+    """The option that chooses the simulator."""
+    parser.add_argument(
+        "--physics",
+        choices=tuple(SIMULATORS),
+        default="polytropic",
+        help="polytropic gas (default; fast), or transport of heat and vapour (some 50 times dearer, and what real bubbles do)",
+    )
+
+
+def simulator_of(args: argparse.Namespace) -> Simulator:
+    """The simulator that ``--physics`` names."""
+    return SIMULATORS[args.physics]()
 
 
 def prior_of(args: argparse.Namespace) -> Belief:

@@ -7,10 +7,18 @@ imr-torch design --belief posterior.json --we-range 150:600 --rinf-range 0.15:0.
 import argparse
 from pathlib import Path
 
-from imr_torch.cli.common import add_prior_arguments, parse_pair, prior_of, progress_of, save_figure, write_result
+from imr_torch.cli.common import (
+    add_physics_argument,
+    add_prior_arguments,
+    parse_pair,
+    prior_of,
+    progress_of,
+    save_figure,
+    simulator_of,
+    write_result,
+)
 from imr_torch.design import DesignSearch, DesignSpace, ExpectedInformationGain, Plan, search_design
 from imr_torch.plot import plot_information
-from imr_torch.simulate import PolytropicSimulator
 
 NAME = "design"
 SUMMARY = "the most informative next experiment"
@@ -22,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--policy", choices=("qLogNEI", "qEI"), default="qLogNEI", help="outer acquisition (default qLogNEI)")
     parser.add_argument("--draws", type=int, default=64, help="draws per model of each estimate (default 64)")
     parser.add_argument("--out", metavar="DIR", help="folder for the map and JSON")
+    add_physics_argument(parser)
     add_prior_arguments(parser)
 
 
@@ -54,7 +63,7 @@ def search_to_dict(search: DesignSearch) -> list[dict[str, float]]:
 
 def run(args: argparse.Namespace) -> None:
     """Search and report."""
-    simulator, space = PolytropicSimulator(), space_of(args)
+    simulator, space = simulator_of(args), space_of(args)
     acquisition = ExpectedInformationGain(
         prior_of(args), simulator, plan=Plan(repeats=args.repeats), space=space, draws=args.draws
     )

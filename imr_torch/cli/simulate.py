@@ -11,12 +11,16 @@ from pathlib import Path
 
 import torch
 
-from imr_torch.cli.common import parse_values, save_figure, write_result
+from imr_torch.cli.common import add_physics_argument, parse_values, save_figure, write_result
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.material import MATERIALS, PARAMETERS, material
 from imr_torch.plot import plot_solution
-from imr_torch.simulate import STEPPINGS, PolytropicSimulator
+from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, Simulator, TransportSimulator
 
+SIMULATORS: dict[tuple[str, str], Simulator] = {
+    **{("polytropic", name): PolytropicSimulator(stepping=stepping) for name, stepping in STEPPINGS.items()},
+    **{("transport", name): TransportSimulator(accuracy=accuracy) for name, accuracy in ACCURACIES.items()},
+}
 NAME = "simulate"
 SUMMARY = "R(t) of one bubble in a gel"
 
@@ -29,7 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rinf", type=float, default=0.2, help="R_inf/Rmax (default 0.2)")
     parser.add_argument("--until", type=float, default=4.0, help="last time, in Rmax/U_c (default 4)")
     parser.add_argument("--frames", type=int, default=161, help="number of output times (default 161)")
-    parser.add_argument("--accuracy", choices=list(STEPPINGS), default="default", help="step size (default: default)")
+    parser.add_argument("--accuracy", choices=("fast", "default", "reference"), default="default", help="named setting")
+    add_physics_argument(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for figure and JSON")
 
 
@@ -40,7 +45,7 @@ def run(args: argparse.Namespace) -> None:
         raise InputDataError(f"--set: model {kind.key!r} has the parameters {', '.join(kind.names)}; got {', '.join(values)}.")
     if args.frames < 2 or not args.until > 0:
         raise InputDataError(f"--frames is {args.frames} and --until {args.until}; expected at least 2 and above 0.")
-    simulator = PolytropicSimulator(stepping=STEPPINGS[args.accuracy])
+    simulator = SIMULATORS[args.physics, args.accuracy]
     surroundings = simulator.conditions.surroundings
     times = torch.linspace(0.0, args.until, args.frames, dtype=torch.float64)
     design = torch.tensor([[args.we, args.rinf]], dtype=torch.float64)
