@@ -29,7 +29,7 @@ from imr_torch.observe import (
 )
 from imr_torch.random import child
 from imr_torch.select import Evidence, evidences, update
-from imr_torch.simulate import PolytropicSimulator, Simulator
+from imr_torch.simulate import Simulator, TransportSimulator
 
 LEVELS = (0.05, 0.5, 0.95)
 _NOISE_ROUNDS = 2
@@ -165,7 +165,7 @@ def characterize(
     Args:
         traces: the curves.
         prior: what is believed before; the wide prior when not given.
-        simulator: makes the bubbles; polytropic by default.
+        simulator: makes the bubbles; with heat and vapour transport by default.
         noise: law of the observation noise; the published one by default.
         estimate_noise: whether to fit its scale and correlation time to the residuals.
         collapses: collapses that the fitted window holds.
@@ -180,13 +180,14 @@ def characterize(
     started = time.process_time()
     if len(traces) == 0:
         raise InputDataError("No curve to characterise; load at least one.")
-    prior, simulator, noise = prior or wide_prior(), simulator or PolytropicSimulator(), noise or Noise()
+    prior, simulator, noise = prior or wide_prior(), simulator or TransportSimulator(), noise or Noise()
     experiments, landmarks = prepare(traces, simulator, collapses=collapses, rest_radius=rest_radius)
     rounds = _NOISE_ROUNDS if estimate_noise else 0
-    result = _fit(prior, ExperimentBatch(experiments, noise), simulator, options, child(seed, "round", 0), progress)
+    batch = ExperimentBatch(experiments, noise)
+    result = _fit(prior, batch, simulator, options, child(seed, "round", 0), None, progress)
     for number in range(1, rounds + 1):
         batch = ExperimentBatch(experiments, _noise_of(result))
-        result = _fit(prior, batch, simulator, options, child(seed, "round", number), progress)
+        result = _fit(prior, batch, simulator, options, child(seed, "round", number), result, progress)
     evidence = evidences(result, simulator, seed=child(seed, "evidence"))
     posterior = update(result, evidence)
     return Characterization(experiments, landmarks, result, evidence, posterior, time.process_time() - started)
@@ -198,12 +199,13 @@ def _fit(
     simulator: Simulator,
     options: EnsembleOptions | None,
     seed: int,
+    near: Assimilation | None,
     progress: Callable[[str], None] | None,
 ) -> Assimilation:
     """One round: announce the noise, and assimilate."""
     if progress:
         progress(f"noise scale {batch.noise.scale:.2f}, correlation time {batch.noise.correlation_time:g}")
-    return assimilate(prior, batch, simulator, seed=seed, options=options, progress=progress)
+    return assimilate(prior, batch, simulator, seed=seed, options=options, near=near, progress=progress)
 
 
 def _noise_of(result: Assimilation) -> Noise:

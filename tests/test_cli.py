@@ -44,10 +44,9 @@ def test_simulate_writes_the_curve_and_a_figure(tmp_path, capsys):
 
 def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys):
     out = tmp_path / "result"
-    arguments = ["characterize", str(EXAMPLE), "--models", "newtonian,nhkv", "--quiet", "--out", str(out)]
+    arguments = ["characterize", str(EXAMPLE), "--models", "nhkv", "--noise", "published", "--quiet", "--out", str(out)]
     assert main([*arguments, "--experiments", "shot_1,shot_3"]) == 0
     result = json.loads((out / "characterize.json").read_text())
-    assert result["model_probabilities"]["nhkv"] > 0.99
     assert [e["id"] for e in result["experiments"]] == ["shot_1", "shot_3"]
     fit = result["models"]["nhkv"]
     assert fit["certificate"]["converged"]

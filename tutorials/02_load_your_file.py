@@ -17,7 +17,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.material import wide_prior
 from imr_torch.observe import KNOWN_LAYOUTS, Layout, find_landmarks, load_traces
 from imr_torch.plot import plot_experiment
-from imr_torch.simulate import PolytropicSimulator
+from imr_torch.simulate import TransportSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 HERE = Path(__file__).parent if "__file__" in globals() else Path("tutorials")
@@ -68,7 +68,8 @@ except InputDataError as error:
 
 # %% [markdown]
 # ## From curves to properties
-# All curves are of one gel and are fitted together; every curve has its own errors of Rmax, time zero and R_inf.
+# All curves are of one gel and are fitted together; every curve has its own errors of Rmax, time zero and R_inf. Bubbles
+# have heat and vapour transport by default; `simulator=PolytropicSimulator()` gives a quick look, and a biased one.
 
 # %%
 prior = wide_prior(["nhkv", "gen_qkv"])
@@ -79,6 +80,6 @@ print(result.report())
 
 # %%
 best = result.posterior.best.model
-band = predictive_band(result.assimilation, result.posterior, PolytropicSimulator(), best, draws=10 if SMOKE else 100)
+band = predictive_band(result.assimilation, result.posterior, TransportSimulator(), best, draws=10 if SMOKE else 100)
 ax = plot_experiment(result.experiments[0], (band[0][0], band[1][0], band[2][0]))
 ax.figure.savefig(OUT / "fit.png")

@@ -25,7 +25,7 @@ from imr_torch.simulate import Simulator
 
 _DAMPINGS = (0.0, 1.0, 10.0, 100.0)  # tried together, times the current damping
 _STUCK = 1e4  # damping at which nothing lowers the cost any more
-_FINEST_SPREAD = 0.02  # finer differences drown in the integration error
+_WIDER = 5.0  # factor on the spread of a stuck ensemble: differences then stand out of the integration error
 _LONGEST_STEP = 8.0  # prior standard deviations
 _SIDE = 0.05  # prior standard deviations by which nuisances are moved for their sensitivity
 _RESTART = 0.25  # prior standard deviations
@@ -40,7 +40,7 @@ class EnsembleOptions:
         scouts: prior draws from which the starts are chosen.
         starts: independent searches per model; two or more, so that they can agree.
         iterations: most Gauss-Newton iterations.
-        spread: size of the ensemble in posterior standard deviations; refined where no step lowers the cost any more.
+        spread: size of the ensemble in posterior standard deviations; widened where no step lowers the cost any more.
         gradient: tolerance of the whitened gradient; 5e-3 leaves 1e-5 nats, and less meets the integration error.
         agreement: tolerance of the cost difference between the two best starts, nats.
     """
@@ -69,6 +69,7 @@ def assimilate(
     *,
     seed: int,
     options: EnsembleOptions | None = None,
+    near: Assimilation | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Assimilation:
     """Fit every model of a belief to a batch of experiments.
@@ -79,6 +80,8 @@ def assimilate(
         simulator: makes the bubbles.
         seed: of scouts and ensembles.
         options: how to search.
+        near: an assimilation of the same belief and experiments (with another noise, say) to start from, in place of
+            scouts; the starts are then perturbed copies of its optimum.
         progress: called with one line per iteration.
 
     Returns:
@@ -95,7 +98,7 @@ def assimilate(
             f"EnsembleOptions.members is {options.members}: {largest} parameters need at least {2 * largest + 2} members, "
             "or the ensemble is degenerate."
         )
-    search = _Search(belief, batch, simulator, options, seed)
+    search = _Search(belief, batch, simulator, options, seed, near)
     for iteration in range(options.iterations):
         search.iterate()
         search.settle()
@@ -120,14 +123,26 @@ def _antithetic(members: int, size: int, source: torch.Generator) -> Tensor:
 class _Search:
     """The state of all chains (models x starts) and one Gauss-Newton iteration of them."""
 
-    def __init__(self, belief: Belief, batch: ExperimentBatch, simulator: Simulator, options: EnsembleOptions, seed: int):
+    def __init__(
+        self,
+        belief: Belief,
+        batch: ExperimentBatch,
+        simulator: Simulator,
+        options: EnsembleOptions,
+        seed: int,
+        near: Assimilation | None,
+    ) -> None:
         self.belief, self.batch, self.simulator, self.options = belief, batch, simulator, options
         self.sds = batch.nuisance_sds
         self.columns = torch.nonzero((self.sds > 0.0).any(0))[:, 0]  # nuisances that anything is uncertain about
         self.size = max(len(part.names) for part in belief.models)
         source = generator(child(seed, "assimilate"))
         self.anomalies = _antithetic(options.members, self.size, source)
-        self._scout(source)
+        self.model = torch.arange(len(belief.models)).repeat_interleave(options.starts)
+        if near is None:
+            self._scout(source)
+        else:
+            self._start_near(near, source)
         chains = len(self.model)
         self.damping = torch.full((chains,), 1e-2, dtype=torch.float64)
         self.chol = 0.5 * torch.eye(self.size, dtype=torch.float64).repeat(chains, 1, 1)
@@ -150,10 +165,19 @@ class _Search:
         cost = self._cost(index.reshape(-1), draws.reshape(-1, self.size), still.reshape(-1, experiments, 3))[0]
         cost = cost.reshape(models, options.scouts)
         chosen = [self._distinct(i, draws[i], cost[i]) for i in range(models)]
-        self.model = torch.arange(models).repeat_interleave(options.starts)
         self.gel = torch.cat([draws[i, rows] for i, rows in enumerate(chosen)])
         self.cost = torch.cat([cost[i, rows] for i, rows in enumerate(chosen)])
         self.nuisances = torch.zeros(len(self.model), experiments, 3, dtype=torch.float64)
+
+    def _start_near(self, near: Assimilation, source: torch.Generator) -> None:
+        """Start each model at an earlier optimum and at perturbed copies of it."""
+        noise = _RESTART * torch.randn(len(self.model), self.size, generator=source, dtype=torch.float64)
+        noise[:: self.options.starts] = 0.0
+        fits = [near[self.belief.keys[i]] for i in self.model.tolist()]
+        pad = torch.nn.functional.pad
+        self.gel = noise + torch.stack([pad(fit.mean, (0, self.size - len(fit.mean))) for fit in fits])
+        self.nuisances = torch.stack([fit.nuisances for fit in fits])
+        self.cost = self._cost(self.model, self.gel, self.nuisances)[0]
 
     def _distinct(self, model: int, draws: Tensor, cost: Tensor) -> Tensor:
         """Rows of the best scouts, each at least half a prior standard deviation from the ones before."""
@@ -267,11 +291,11 @@ class _Search:
         self._unstick(chains[~better])
 
     def _unstick(self, chains: Tensor) -> None:
-        """Damp chains that found no better point; then refine their ensembles; then let them rest."""
+        """Damp chains that found no better point; then widen their ensembles once; then let them rest."""
         self.damping[chains] *= 100.0
         stuck = chains[self.damping[chains] > _STUCK]
-        self.finished[stuck] = self.spread[stuck] <= _FINEST_SPREAD
-        self.spread[stuck] *= 0.1
+        self.finished[stuck] = self.spread[stuck] > self.options.spread
+        self.spread[stuck] = _WIDER * self.options.spread
         self.damping[stuck] = 1e-2
 
     def settle(self) -> None:

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="observation noise: scale and correlation time estimated from the residuals (default), or the published law",
     )
     parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
-    add_physics_argument(parser)
+    add_physics_argument(parser, default="transport")
     add_prior_arguments(parser)
 
 

@@ -1,7 +1,7 @@
 """Makes ``example_gel.csv`` and ``example_gel.json``: four noisy bubbles in a known gel, as a laboratory would store them.
 
-NHKV with G = 8.31 kPa and mu = 0.093 Pa s, polytropic gas, 1 us between frames, 0.3 % noise, Rmax from 250 to 400 um. The
-records end while the bubbles still ring; R_inf was measured afterwards and stands in the JSON file.
+NHKV with G = 8.31 kPa and mu = 0.093 Pa s, heat and vapour transport, 1 us between frames, 0.3 % noise, Rmax from 250 to
+400 um. The records end while the bubbles still ring; R_inf was measured afterwards and stands in the JSON file.
 """
 
 import csv
@@ -12,10 +12,10 @@ import torch
 from imr_torch.files import write_json
 from imr_torch.material import PARAMETERS
 from imr_torch.random import generator
-from imr_torch.simulate import PolytropicSimulator
+from imr_torch.simulate import ACCURACIES, TransportSimulator
 
 HERE = Path(__file__).parent
-simulator = PolytropicSimulator()
+simulator = TransportSimulator(accuracy=ACCURACIES["reference"])
 surroundings = simulator.conditions.surroundings
 gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
 source = generator(7)
