@@ -6,7 +6,6 @@ model that misses the data pays with wider intervals instead of false precision.
 """
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -30,6 +29,7 @@ from imr_torch.observe import (
 from imr_torch.random import child
 from imr_torch.select import Evidence, evidences, update
 from imr_torch.simulate import Simulator, TransportSimulator
+from imr_torch.types import Progress
 
 LEVELS = (0.05, 0.5, 0.95)
 _NOISE_ROUNDS = 2
@@ -158,7 +158,7 @@ def characterize(
     rest_radius: tuple[float, float] | None = None,
     options: EnsembleOptions | None = None,
     seed: int = 0,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Characterization:
     """Infer properties and model probabilities from measured curves of one gel.
 
@@ -200,7 +200,7 @@ def _fit(
     options: EnsembleOptions | None,
     seed: int,
     near: Assimilation | None,
-    progress: Callable[[str], None] | None,
+    progress: Progress | None,
 ) -> Assimilation:
     """One round: announce the noise, and assimilate."""
     if progress:

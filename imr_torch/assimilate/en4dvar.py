@@ -9,7 +9,6 @@ taken only if it lowers the exact cost; see :mod:`imr_torch.assimilate.fit` for 
 """
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import torch
@@ -22,6 +21,7 @@ from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
 
 _DAMPINGS = (0.0, 1.0, 10.0, 100.0)  # tried together, times the current damping
 _STUCK = 1e4  # damping at which nothing lowers the cost any more
@@ -70,7 +70,7 @@ def assimilate(
     seed: int,
     options: EnsembleOptions | None = None,
     near: Assimilation | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Assimilation:
     """Fit every model of a belief to a batch of experiments.
 

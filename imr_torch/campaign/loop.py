@@ -34,8 +34,7 @@ from imr_torch.observe import Experiment, ExperimentBatch, collapse_time
 from imr_torch.random import child
 from imr_torch.select import Evidence, evidences, update
 from imr_torch.simulate import Simulator
-
-Progress = Callable[[str], None]
+from imr_torch.types import Progress
 
 
 @dataclass(frozen=True)

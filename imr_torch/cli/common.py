@@ -14,6 +14,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
 from imr_torch.simulate import PolytropicSimulator, Simulator, TransportSimulator
+from imr_torch.types import Progress
 
 SIMULATORS: dict[str, Callable[[], Simulator]] = {"polytropic": PolytropicSimulator, "transport": TransportSimulator}
 DEFAULT_MODELS = "newtonian,nhkv,gen_qkv"
@@ -87,7 +88,7 @@ def parse_pair(text: str | None, option: str) -> tuple[float, float] | None:
     return first, second
 
 
-def progress_of(args: argparse.Namespace) -> Callable[[str], None] | None:
+def progress_of(args: argparse.Namespace) -> Progress | None:
     """A line to standard error with the time since the start, or None with ``--quiet``."""
     if args.quiet:
         return None

@@ -6,7 +6,6 @@ noise. What is recommended is the maximum of the posterior mean, not the best no
 
 import math
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -28,6 +27,7 @@ from imr_torch.design.eig import InformationGain
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.random import child
+from imr_torch.types import Progress
 
 _SMALLEST_VARIANCE = 1e-8  # nats^2: draws may agree exactly, and a known noise of 0 is no noise model
 Acquisition = Literal["qLogNEI", "qEI"]
@@ -175,7 +175,7 @@ def search_design(
     evaluations: int = 25,
     initial: int = 10,
     policy: Acquisition = "qLogNEI",
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> DesignSearch:
     """Find the design of largest expected information gain by Bayesian optimisation.
 

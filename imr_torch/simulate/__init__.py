@@ -12,9 +12,8 @@ from imr_torch.simulate.conditions import (
 )
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.polytropic import PolytropicSimulator
-from imr_torch.simulate.simulator import Simulator, Solution, Status, broadcast_batch, check_times
+from imr_torch.simulate.simulator import Simulator, Solution, Status, broadcast_batch, check_designs, check_times, solve_batch
 from imr_torch.simulate.transport import ACCURACIES, Accuracy, TransportSimulator
-from imr_torch.simulate.wall import check_designs
 
 __all__ = [
     "ACCURACIES",
@@ -36,4 +35,5 @@ __all__ = [
     "check_designs",
     "check_times",
     "preset",
+    "solve_batch",
 ]

@@ -5,18 +5,16 @@ The batch is integrated by ``torchdiffeq`` (fixed-step RK4) under the time trans
 Members that fail are tried again with half the step before they are given up.
 """
 
-import warnings
 from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 from torchdiffeq import odeint
 
-from imr_torch.errors import PrecisionWarning
 from imr_torch.simulate.clock import interpolate, time_per_tick
 from imr_torch.simulate.conditions import Conditions, Stepping
-from imr_torch.simulate.simulator import Solution, Status, broadcast_batch, check_times
-from imr_torch.simulate.wall import PolytropicBubble, check_designs
+from imr_torch.simulate.simulator import Solution, Status, solve_batch
+from imr_torch.simulate.wall import PolytropicBubble
 
 _BLOCK = 32  # steps between two looks at who is done
 _BATCH = 2000  # members solved together: larger batches leave the processor's cache
@@ -42,18 +40,7 @@ class PolytropicSimulator:
             ShapeError: if shapes do not fit.
             InputDataError: if a design is impossible, or times are not increasing and finite.
         """
-        shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
-        check_designs(designs)
-        check_times(times)
-        if parameters.dtype != torch.float64:
-            warnings.warn("float32 is too short for inference; use float64 parameters.", PrecisionWarning, stacklevel=2)
-        designs, times = designs.to(parameters), times.to(parameters)
-        blocks = zip(parameters.split(_BATCH), designs.split(_BATCH), times.split(_BATCH), strict=True)
-        parts = [self._solve(*block) for block in blocks]
-        fields = [torch.cat(columns) for columns in zip(*parts, strict=True)]
-        radius, velocity, pressure = (x.reshape(*shape, -1) for x in fields[:3])
-        status, steps = (x.reshape(shape) for x in fields[3:])
-        return Solution(times.reshape(*shape, -1), radius, velocity, pressure, status, steps)
+        return solve_batch(self._solve, _BATCH, (parameters, designs, times))
 
     def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[Tensor, ...]:
         """One block of members, with failed ones tried again at half the step."""

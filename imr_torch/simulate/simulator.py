@@ -4,6 +4,8 @@ Everything above this stage talks to :class:`Simulator` only, so a simulator wit
 another process can take its place. A bubble whose solve fails is data: its status says so and its numbers are NaN.
 """
 
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
@@ -11,7 +13,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate.conditions import Conditions
 
@@ -133,3 +135,46 @@ def check_times(times: Tensor) -> None:
             f"times start at {float(times.min()):g}; t* = 0 is the maximum radius, and growth is not simulated. "
             "Keep samples from the maximum on."
         )
+
+
+def check_designs(designs: Tensor) -> None:
+    """Raise :class:`InputDataError` unless every design has ``We > 0`` and ``0 < R_inf* < 1``."""
+    weber, rest = designs[..., 0], designs[..., 1]
+    bad = ~(torch.isfinite(weber) & (weber > 0.0) & (rest > 0.0) & (rest < 1.0))
+    if bool(bad.any()):
+        row = designs[bad][0].tolist()
+        raise InputDataError(
+            f"Design (We, R_inf*) = ({row[0]:g}, {row[1]:g}): expected We > 0 and 0 < R_inf* < 1 "
+            "(R_inf* = R_inf/Rmax; a rest radius at or above the maximum has no collapse to observe)."
+        )
+
+
+def solve_batch(
+    solve: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, ...]],
+    size: int,
+    arguments: tuple[Tensor, Tensor, Tensor],
+) -> Solution:
+    """What every simulator does round its solver: check, broadcast, solve in blocks, put together.
+
+    Args:
+        solve: ``B x p`` parameters, ``B x 2`` designs and ``B x n_t`` times to radius, velocity, pressure (``B x n_t``
+            each), status and steps (``B`` each).
+        size: members in a block.
+        arguments: parameters, designs and times as the simulator was called with.
+
+    Raises:
+        ShapeError: if shapes do not fit.
+        InputDataError: if a design is impossible, or times are not increasing and finite.
+    """
+    shape, parameters, designs, times = broadcast_batch(*arguments)
+    check_designs(designs)
+    check_times(times)
+    if parameters.dtype != torch.float64:
+        warnings.warn("float32 is too short for inference; use float64 parameters.", PrecisionWarning, stacklevel=3)
+    designs, times = designs.to(parameters), times.to(parameters)
+    blocks = zip(parameters.split(size), designs.split(size), times.split(size), strict=True)
+    parts = [solve(*block) for block in blocks]
+    fields = [torch.cat(columns) for columns in zip(*parts, strict=True)]
+    radius, velocity, pressure = (x.reshape(*shape, -1) for x in fields[:3])
+    status, steps = (x.reshape(shape) for x in fields[3:])
+    return Solution(times.reshape(*shape, -1), radius, velocity, pressure, status, steps)

@@ -4,21 +4,19 @@ Fields are resolved spectrally (:mod:`~imr_torch.simulate.grids`), time by a lin
 Jacobian (:mod:`~imr_torch.simulate.rosenbrock`) and steps of each member's own (:mod:`~imr_torch.simulate.stream`).
 """
 
-import warnings
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
-from imr_torch.errors import InputDataError, PrecisionWarning
+from imr_torch.errors import InputDataError
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.controller import Controller
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.rhs import Equations
-from imr_torch.simulate.simulator import Solution, broadcast_batch, check_times
+from imr_torch.simulate.simulator import Solution, solve_batch
 from imr_torch.simulate.stream import Stream
-from imr_torch.simulate.wall import check_designs
 
 _BATCH = 4000  # members whose paths are held in memory together
 
@@ -73,19 +71,8 @@ class TransportSimulator:
             ShapeError: if shapes do not fit.
             InputDataError: if a design is impossible, or times are not increasing and finite.
         """
-        shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
-        check_designs(designs)
-        check_times(times)
-        if parameters.dtype != torch.float64:
-            warnings.warn("float32 is too short for inference; use float64 parameters.", PrecisionWarning, stacklevel=2)
-        designs, times = designs.to(parameters), times.to(parameters)
-        blocks = zip(parameters.split(_BATCH), designs.split(_BATCH), times.split(_BATCH), strict=True)
         with torch.no_grad():
-            parts = [self._solve(*block) for block in blocks]
-        fields = [torch.cat(columns) for columns in zip(*parts, strict=True)]
-        radius, velocity, pressure = (x.reshape(*shape, -1) for x in fields[:3])
-        status, steps = (x.reshape(shape) for x in fields[3:])
-        return Solution(times.reshape(*shape, -1), radius, velocity, pressure, status, steps)
+            return solve_batch(self._solve, _BATCH, (parameters, designs, times))
 
     def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[Tensor, ...]:
         """One block of members: radius, velocity, pressure, status, steps."""

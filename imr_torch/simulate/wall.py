@@ -7,10 +7,8 @@ viscous stress; that part is taken to the left-hand side.
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
-from imr_torch.errors import InputDataError
 from imr_torch.material import StressTerm, active_terms, dimensionless, stress_integral
 from imr_torch.simulate.conditions import Conditions
 
@@ -87,15 +85,3 @@ class PolytropicBubble:
         delay = radius / self.sound_speed
         force = (1.0 + mach) * load + delay * load_rate - (1.5 - 0.5 * mach) * velocity * velocity
         return force / ((1.0 - mach) * radius - delay * stress.acceleration), pressure
-
-
-def check_designs(designs: Tensor) -> None:
-    """Raise :class:`InputDataError` unless every design has ``We > 0`` and ``0 < R_inf* < 1``."""
-    weber, rest = designs[..., 0], designs[..., 1]
-    bad = ~(torch.isfinite(weber) & (weber > 0.0) & (rest > 0.0) & (rest < 1.0))
-    if bool(bad.any()):
-        row = designs[bad][0].tolist()
-        raise InputDataError(
-            f"Design (We, R_inf*) = ({row[0]:g}, {row[1]:g}): expected We > 0 and 0 < R_inf* < 1 "
-            "(R_inf* = R_inf/Rmax; a rest radius at or above the maximum has no collapse to observe)."
-        )
