@@ -160,6 +160,8 @@ class _Search:
         options, models, experiments = self.options, len(self.belief.models), self.batch.designs.shape[0]
         draws = torch.randn(models, options.scouts, self.size, generator=source, dtype=torch.float64)
         draws[:, 0] = 0.0
+        for i, part in enumerate(self.belief.models):
+            draws[i, :, len(part.names) :] = 0.0  # padding: controls that this model does not have
         index = torch.arange(models)[:, None].expand(models, options.scouts)
         still = torch.zeros(models, options.scouts, experiments, 3, dtype=torch.float64)
         cost = self._cost(index.reshape(-1), draws.reshape(-1, self.size), still.reshape(-1, experiments, 3))[0]
@@ -175,8 +177,10 @@ class _Search:
         noise[:: self.options.starts] = 0.0
         fits = [near[self.belief.keys[i]] for i in self.model.tolist()]
         pad = torch.nn.functional.pad
-        self.gel = noise + torch.stack([pad(fit.mean, (0, self.size - len(fit.mean))) for fit in fits])
+        optimum = torch.stack([pad(fit.mean, (0, self.size - len(fit.mean))) for fit in fits])
         self.nuisances = torch.stack([fit.nuisances for fit in fits])
+        failed = torch.isinf(self._cost(self.model, optimum + noise, self.nuisances)[0])
+        self.gel = torch.where(failed[:, None], optimum, optimum + noise)
         self.cost = self._cost(self.model, self.gel, self.nuisances)[0]
 
     def _distinct(self, model: int, draws: Tensor, cost: Tensor) -> Tensor:
