@@ -287,7 +287,7 @@ class _Search:
         nuisances = self.nuisances[chains, None] + shorter[..., None] * nuisance_step
         cost, _ = self._cost(self.model[chains], gel, nuisances)
         best, row = cost.min(dim=1)
-        better = best < self.cost[chains]
+        better = best < self.cost[chains] - 0.5 * self.options.gradient**2  # less than the tolerance leaves is no progress
         kept, at = chains[better], (torch.nonzero(better)[:, 0], row[better])
         self.gel[kept], self.nuisances[kept], self.cost[kept] = gel[at], nuisances[at], best[better]
         eased = self.damping[kept] * torch.tensor(_DAMPINGS, dtype=torch.float64)[row[better]]
