@@ -22,7 +22,7 @@ class PolytropicGas:
 
     Args:
         exponent: ``kappa``; 1 is isothermal, 1.4 adiabatic air. The default was chosen against full heat and vapour
-            transport on sixteen reference cases (1.2: rms difference .097 in R*, 1.3: .077, 1.4: .101).
+            transport on fifteen reference cases (median rms difference in R*, 1.2: .097, 1.3: .077, 1.4: .101).
         reference: where the gas is at the temperature of the surroundings. ``"maximum"``: at the maximum radius, as in
             Estrada et al. (2018), so ``p_g = (1 + 1/(We R_inf*) - p_v) R_inf*^3`` there. ``"rest"``: at ``R_inf``.
         vapour: whether the bubble holds vapour at its saturation pressure.
