@@ -23,8 +23,9 @@ from torchdiffeq import odeint
 
 from imr_torch.files import write_json
 from imr_torch.material import reference_case
-from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, Simulator, TransportSimulator
-from imr_torch.simulate.wall import PolytropicBubble
+from imr_torch.simulate import ACCURACIES, STEPPINGS, Conditions, PolytropicSimulator, Simulator, TransportSimulator
+from imr_torch.simulate.bubbles import Bubbles
+from imr_torch.simulate.polytropic import head_of, rate_of
 
 TIMES = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
 
@@ -63,29 +64,26 @@ def errors(simulator: Simulator, reference: Simulator, count: int, device: str) 
 def plain_dopri5(count: int) -> Callable[[], Any]:
     """The same bubbles by torchdiffeq with one adaptive step for the whole batch."""
     parameters, designs = draws(count, "cpu")
-    bubble = PolytropicBubble.of(parameters, designs, PolytropicSimulator().conditions)
+    bubbles = Bubbles.of(parameters, designs, Conditions())
+    one = torch.ones(count, dtype=torch.float64)
+    start = torch.stack((one, 0.0 * one, 0.0 * one))
 
     def rate(_: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
-        return torch.stack((state[1], bubble.acceleration(state[0], state[1])[0]))
+        return rate_of(bubbles, head_of(bubbles, state))
 
-    start = torch.stack((torch.ones(count, dtype=torch.float64), torch.zeros(count, dtype=torch.float64)))
     return lambda: odeint(rate, start, TIMES, method="dopri5", rtol=1e-5, atol=1e-7)
 
 
 def scipy_loop(count: int) -> Callable[[], Any]:
     """The same bubbles one by one with SciPy."""
     parameters, designs = draws(count, "cpu")
-    singles = [
-        PolytropicBubble.of(p[None], d[None], PolytropicSimulator().conditions)
-        for p, d in zip(parameters, designs, strict=True)
-    ]
+    singles = [Bubbles.of(p[None], d[None], Conditions()) for p, d in zip(parameters, designs, strict=True)]
 
-    def solve(bubble: PolytropicBubble) -> None:
-        def rate(_: float, state: np.ndarray) -> list[float]:
-            radius, velocity = torch.from_numpy(state)[:, None]
-            return [float(state[1]), float(bubble.acceleration(radius, velocity)[0])]
+    def solve(bubble: Bubbles) -> None:
+        def rate(_: float, state: np.ndarray) -> np.ndarray:
+            return rate_of(bubble, head_of(bubble, torch.from_numpy(state)[:, None]))[:, 0].numpy()
 
-        solve_ivp(rate, (0.0, 4.0), [1.0, 0.0], method="LSODA", t_eval=TIMES.numpy(), rtol=1e-6, atol=1e-8)
+        solve_ivp(rate, (0.0, 4.0), [1.0, 0.0, 0.0], method="LSODA", t_eval=TIMES.numpy(), rtol=1e-6, atol=1e-8)
 
     return lambda: [solve(bubble) for bubble in singles]
 

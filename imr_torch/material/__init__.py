@@ -2,25 +2,41 @@
 
 from imr_torch.material.belief import Belief, Draws, ModelBelief
 from imr_torch.material.cases import CASES, ReferenceCase, reference_case, wide_prior
+from imr_torch.material.integral import (
+    TERMS,
+    Response,
+    ResponseSlopes,
+    active_terms,
+    automatic_slopes,
+    memory_rate,
+    memory_start,
+    memory_states,
+    register_term,
+    response_slopes,
+    stress_integral,
+)
 from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
 from imr_torch.material.models import MATERIALS, Material, material, materials, register
 from imr_torch.material.parameters import PARAMETERS, Parameter, dimensionless
-from imr_torch.material.stress import Stress, StressSlopes, StressTerm
-from imr_torch.material.terms import TERMS, active_terms, automatic_slopes, stress_integral, stress_slopes
+from imr_torch.material.stress import AnyTerm, MemoryTerm, Stress, StressSlopes, StressTerm
 
 __all__ = [
     "CASES",
     "MATERIALS",
     "PARAMETERS",
     "TERMS",
+    "AnyTerm",
     "Belief",
     "Draws",
     "LogNormal",
     "Marginal",
     "Material",
+    "MemoryTerm",
     "ModelBelief",
     "Parameter",
     "ReferenceCase",
+    "Response",
+    "ResponseSlopes",
     "Stress",
     "StressSlopes",
     "StressTerm",
@@ -30,9 +46,13 @@ __all__ = [
     "dimensionless",
     "material",
     "materials",
+    "memory_rate",
+    "memory_start",
+    "memory_states",
     "reference_case",
     "register",
+    "register_term",
+    "response_slopes",
     "stress_integral",
-    "stress_slopes",
     "wide_prior",
 ]

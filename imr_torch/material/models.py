@@ -9,9 +9,18 @@ from typing import ClassVar
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.material.elastic import (
+    ExponentialFung,
+    LinearElasticity,
+    NeoHookeanElasticity,
+    SecondOrderFung,
+    StrainStiffening,
+)
+from imr_torch.material.integral import stress_integral
+from imr_torch.material.memory import MaxwellBranch, OldroydB, StandardLinearSolid, StandardNonlinearSolid
 from imr_torch.material.parameters import PARAMETERS, Parameter
-from imr_torch.material.stress import Stress, StressTerm
-from imr_torch.material.terms import NeoHookeanElasticity, NewtonianViscosity, StrainStiffening, stress_integral
+from imr_torch.material.stress import AnyTerm, Stress
+from imr_torch.material.viscous import CarreauThinning, NewtonianViscosity
 
 
 class Material:
@@ -28,7 +37,7 @@ class Material:
     key: ClassVar[str]
     title: ClassVar[str]
     reference: ClassVar[str]
-    terms: ClassVar[tuple[StressTerm, ...]]
+    terms: ClassVar[tuple[AnyTerm, ...]]
     known: ClassVar[tuple[str, ...]] = ()
 
     @property
@@ -47,9 +56,19 @@ class Material:
         """Units, bounds and neutral values of ``names``."""
         return tuple(PARAMETERS[name] for name in self.names)
 
-    def stress(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
-        """The model's stress integral; all arguments dimensionless, see :class:`~imr_torch.material.stress.Stress`."""
-        return stress_integral(self.terms, radius, velocity, rest_radius, theta)
+    def stress(
+        self,
+        radius: Tensor,
+        velocity: Tensor,
+        rest_radius: Tensor,
+        theta: Mapping[str, Tensor],
+        memory: Tensor | None = None,
+    ) -> Stress:
+        """The model's stress integral; all arguments dimensionless, see :class:`~imr_torch.material.stress.Stress`.
+
+        ``memory`` is the ``states x batch_shape`` tensor of a model with memory.
+        """
+        return stress_integral(self.terms, radius, velocity, rest_radius, theta, memory)
 
     def __repr__(self) -> str:
         return f"<{self.title}: {', '.join(self.names)}>"
@@ -96,6 +115,78 @@ class GeneralizedQuadraticKelvinVoigt(Material):
     terms = QuadraticKelvinVoigt.terms
 
 
+class LinearKelvinVoigt(Material):
+    """Kelvin-Voigt at small strain, as first used for bubbles in gels."""
+
+    key, title = "linkv", "Linear KV"
+    reference = "Yang & Church, J. Acoust. Soc. Am. 118 (2005)"
+    terms = (NewtonianViscosity(), LinearElasticity())
+
+
+class SecondOrderFungKelvinVoigt(Material):
+    """Exponential stiffening to second order in the strain invariant, beside a dashpot."""
+
+    key, title = "fung2", "2nd-order Fung"
+    reference = "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)"
+    terms = (NewtonianViscosity(), NeoHookeanElasticity(), SecondOrderFung())
+
+
+class ExponentialFungKelvinVoigt(Material):
+    """Exponential stiffening beside a dashpot."""
+
+    key, title = "fungexp", "Fung"
+    reference = "Fung, Am. J. Physiol. 213 (1967)"
+    terms = (NewtonianViscosity(), NeoHookeanElasticity(), ExponentialFung())
+
+
+class Maxwell(Material):
+    """A viscoelastic liquid with one relaxation time (with retardation: Jeffreys)."""
+
+    key, title = "maxwell", "Maxwell"
+    reference = "Allen & Roy, J. Acoust. Soc. Am. 107 (2000)"
+    terms = (NewtonianViscosity(), MaxwellBranch())
+
+
+class Zener(Material):
+    """A neo-Hookean spring beside a Maxwell branch with retardation."""
+
+    key, title = "zener", "Zener"
+    reference = "Warnez & Johnsen, Phys. Fluids 27 (2015)"
+    terms = (NewtonianViscosity(), NeoHookeanElasticity(), MaxwellBranch())
+
+
+class StandardLinear(Material):
+    """The standard linear solid of the published code."""
+
+    key, title = "sls", "SLS"
+    reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
+    terms = (NewtonianViscosity(), LinearElasticity(), StandardLinearSolid())
+
+
+class StandardNonlinear(Material):
+    """The standard nonlinear solid of the published code."""
+
+    key, title = "sns", "SNS"
+    reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
+    terms = (NewtonianViscosity(), NeoHookeanElasticity(), StandardNonlinearSolid())
+
+
+class UpperConvectedMaxwell(Material):
+    """A viscoelastic liquid whose stress is carried and stretched with it (with retardation: Oldroyd-B)."""
+
+    key, title = "ucm", "Upper-convected Maxwell"
+    reference = "Warnez & Johnsen, Phys. Fluids 27 (2015)"
+    terms = (NewtonianViscosity(), OldroydB())
+
+
+class CarreauKelvinVoigt(Material):
+    """NHKV whose viscosity falls with the shear rate."""
+
+    key, title = "carreau", "Carreau KV"
+    reference = "Carreau, Trans. Soc. Rheol. 16 (1972)"
+    terms = (NewtonianViscosity(), NeoHookeanElasticity(), CarreauThinning())
+
+
 MATERIALS: dict[str, Material] = {}
 """Key -> constitutive model."""
 
@@ -130,5 +221,14 @@ for _model in (
     NeoHookeanKelvinVoigt(),
     QuadraticKelvinVoigt(),
     GeneralizedQuadraticKelvinVoigt(),
+    LinearKelvinVoigt(),
+    SecondOrderFungKelvinVoigt(),
+    ExponentialFungKelvinVoigt(),
+    Maxwell(),
+    Zener(),
+    StandardLinear(),
+    StandardNonlinear(),
+    UpperConvectedMaxwell(),
+    CarreauKelvinVoigt(),
 ):
     register(_model)

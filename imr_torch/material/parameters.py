@@ -147,6 +147,25 @@ SHEAR_MODULUS = PARAMETERS.register(
 )
 VISCOSITY = PARAMETERS.register(Parameter("mu", "viscosity", "Pa s", "viscosity", 0.0, 100.0, 0.0))
 STIFFENING = PARAMETERS.register(Parameter("alpha", "strain stiffening", "1", "none", -1.0, 100.0, 0.0))
+LINEAR_MODULUS = PARAMETERS.register(
+    Parameter("G_lin", "shear modulus at small strain", "Pa", "pressure", 0.0, 1e7, 0.0, display_scale=1e-3, display_unit="kPa")
+)
+FUNG2 = PARAMETERS.register(Parameter("alpha_fung2", "stiffening, Fung to second order", "1", "none", -1.0, 100.0, 0.0))
+FUNG = PARAMETERS.register(Parameter("alpha_fung", "stiffening, exponential Fung", "1", "none", -1.0, 10.0, 0.0))
+THINNING = PARAMETERS.register(Parameter("thinning", "shear thinning 1 - n (Carreau)", "1", "none", 0.0, 1.0, 0.0))
+
+
+def _relaxation_time(name: str, meaning: str) -> Parameter:
+    """A time from 0 (neutral) to a second, quoted in microseconds."""
+    return PARAMETERS.register(Parameter(name, meaning, "s", "time", 0.0, 1.0, 0.0, display_scale=1e6, display_unit="us"))
+
+
+SHEAR_TIME = _relaxation_time("shear_time", "time scale of shear thinning (Carreau)")
+RELAXATION = _relaxation_time("tau", "relaxation time (Maxwell branch)")
+RETARDATION = PARAMETERS.register(Parameter("retardation", "retardation over relaxation time", "1", "none", 0.0, 1.0, 0.0))
+RELAXATION_SLS = _relaxation_time("tau_sls", "relaxation time (standard linear solid)")
+RELAXATION_SNS = _relaxation_time("tau_sns", "relaxation time (standard nonlinear solid)")
+RELAXATION_UCM = _relaxation_time("tau_ucm", "relaxation time (upper-convected branch)")
 
 
 def dimensionless(parameters: Tensor, max_radius: Tensor, surroundings: Surroundings) -> dict[str, Tensor]:

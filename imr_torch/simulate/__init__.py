@@ -10,26 +10,45 @@ from imr_torch.simulate.conditions import (
     Stepping,
     preset,
 )
+from imr_torch.simulate.driving import Driving, GaussianPulse, SineDriving, TabulatedDriving
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.polytropic import PolytropicSimulator
+from imr_torch.simulate.radial import (
+    RADIAL_EQUATIONS,
+    Gilmore,
+    KellerMiksis,
+    KellerMiksisEnthalpy,
+    RadialEquation,
+    RayleighPlesset,
+)
 from imr_torch.simulate.simulator import Simulator, Solution, Status, broadcast_batch, check_designs, check_times, solve_batch
 from imr_torch.simulate.transport import ACCURACIES, Accuracy, TransportSimulator
 
 __all__ = [
     "ACCURACIES",
     "PRESETS",
+    "RADIAL_EQUATIONS",
     "STEPPINGS",
     "Accuracy",
     "Conditions",
+    "Driving",
     "GasMixture",
+    "GaussianPulse",
+    "Gilmore",
+    "KellerMiksis",
+    "KellerMiksisEnthalpy",
     "Medium",
     "PolytropicGas",
     "PolytropicSimulator",
+    "RadialEquation",
+    "RayleighPlesset",
     "Resolution",
     "Simulator",
+    "SineDriving",
     "Solution",
     "Status",
     "Stepping",
+    "TabulatedDriving",
     "TransportSimulator",
     "broadcast_batch",
     "check_designs",

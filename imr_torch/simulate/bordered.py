@@ -2,8 +2,8 @@
 
 Temperature in the bubble (``tau``), vapour (``C``, driven by ``tau``) and temperature in the gel (``theta``) see each
 other only through the border ``z = (R, U, p, q, tau_w)``, with ``p = ln P`` and ``q = dp/dt`` as an extra unknown.
-Eliminating the fields leaves two equations for ``(q, tau_w)`` a member, so a factorisation costs three inverses of
-the size of one field.
+Memory states of the gel see ``R`` and ``U`` only and join the border. Eliminating the fields leaves a border of five
+numbers and the memory, so a factorisation costs three inverses of the size of one field.
 """
 
 from dataclasses import dataclass
@@ -32,6 +32,10 @@ class Jacobian:
         wall_row: ``5 x B`` tensor, the wall's heat balance in the border.
         pressure_slopes: ``2 x B`` tensor, ``q`` in the slopes of ``tau`` and ``C`` at the wall.
         wall_slopes: ``3 x B`` tensor, the wall's balance in the slopes of ``tau``, ``C`` and ``theta`` at the wall.
+        velocity_time: ``B`` tensor, ``dU'/dt`` at a fixed state.
+        velocity_memory: ``K x B`` tensor, ``dU'`` in the gel's memory states.
+        memory_rows: ``K x 2 x B`` tensor, ``d memory_t`` in (R, U).
+        memory_memory: ``K x K x B`` tensor, ``d memory_t/d memory``.
     """
 
     inside: Tensor
@@ -45,6 +49,10 @@ class Jacobian:
     wall_row: Tensor
     pressure_slopes: Tensor
     wall_slopes: Tensor
+    velocity_time: Tensor
+    velocity_memory: Tensor
+    memory_rows: Tensor
+    memory_memory: Tensor
 
 
 def invert(blocks: Tensor) -> Tensor:
@@ -104,36 +112,43 @@ class Factors:
         return by_heat * heat + by_vapour * heat_to_vapour, by_vapour * vapour, outer
 
     def _border_matrix(self, heat: Tensor, vapour: Tensor, outer: Tensor) -> Tensor:
-        """The system in (R, U, p, q, tau_w) that is left when the fields are eliminated, ``5 x 5 x B``."""
+        """The system in (R, U, p, q, tau_w, memory) that is left when the fields are eliminated, ``(5+K) x (5+K) x B``."""
         j, shift = self._jacobian, self._shift
-        matrix = shift.new_zeros(5, 5, shift.shape[0])
+        size = 5 + j.velocity_memory.shape[0]
+        matrix = shift.new_zeros(size, size, shift.shape[0])
         matrix[0, 0] = matrix[2, 2] = shift
         matrix[0, 1] = matrix[2, 3] = -1.0
         matrix[1, :4] = -j.velocity_row
         matrix[1, 1] += shift
         rows = (heat[:, :, None] * j.inside_border[:, :, 0]).sum(1) + (vapour[:, :, None] * j.inside_border[:, :, 1]).sum(1)
         rows += (outer[:, :, None] * j.outside_border).sum(1)
-        matrix[3:] = -rows
-        matrix[3] -= j.pressure_row
+        matrix[3:5, :5] = -rows
+        matrix[3, :5] -= j.pressure_row
         matrix[3, 3] += 1.0
-        matrix[4] -= j.wall_row
+        matrix[4, :5] -= j.wall_row
+        matrix[1, 5:] = -j.velocity_memory
+        matrix[5:, :2] = -j.memory_rows
+        matrix[5:, 5:] = -j.memory_memory
+        matrix[5:, 5:].diagonal(dim1=0, dim2=1).add_(shift[:, None])
         return matrix
 
     def solve(self, right: Tensor) -> Tensor:
-        """Solve for one right-hand side, ``(4 + 2n + m) x B`` in the layout of the state."""
+        """Solve for one right-hand side, ``(4 + 2n + m + K) x B`` in the layout of the state."""
         j, n = self._jacobian, self._inside.shape[0]
-        inputs = torch.cat((right[:3], (self._functionals * right[4:]).sum(1)))
+        end = 4 + self._functionals.shape[1]
+        inputs = torch.cat((right[:3], (self._functionals * right[4:end]).sum(1), right[end:]))
         inputs[4] += right[3]
         border = (self._border * inputs).sum(1)
         solution = torch.empty_like(right)
-        solution[:3], solution[3] = border[:3], border[4]
+        solution[:3], solution[3], solution[end:] = border[:3], border[4], border[5:]
+        border = border[:5]
         sources = (j.inside_border * border[:, None]).sum(1)  # n x 2 x B
         heat = (self._inside[:, :, 0] * (right[4 : 4 + n] + sources[:, 0])).sum(1)
         drive = right[4 + n : 4 + 2 * n] + sources[:, 1] + j.coupling_slope * (self._slope @ heat) + j.coupling * heat
         solution[4 : 4 + n] = heat
         solution[4 + n : 4 + 2 * n] = (self._inside[:, :, 1] * drive).sum(1)
-        gel = right[4 + 2 * n :] + (j.outside_border * border).sum(1)
-        solution[4 + 2 * n :] = (self._outside * gel).sum(1)
+        gel = right[4 + 2 * n : end] + (j.outside_border * border).sum(1)
+        solution[4 + 2 * n : end] = (self._outside * gel).sum(1)
         return solution
 
 

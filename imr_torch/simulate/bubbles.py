@@ -1,17 +1,20 @@
-"""A batch of conducting, evaporating bubbles made dimensionless: its constants, and the state in which it starts.
+"""A batch of bubbles made dimensionless: its constants, and the numbers of each member.
 
 Definitions follow Estrada et al. (J. Mech. Phys. Solids 112, 2018), section 2.3 and appendix A: ``chi = T_inf K_inf /
 (p_inf Rmax U_c)``, ``Fo_m = D_0/(U_c Rmax)``, ``Fo_h = K_m/(rho c_p,m U_c Rmax)``, ``Br = U_c^2/(c_p,m T_inf)``; gas
-constants and latent heat are scaled by ``U_c^2``, conductivities by ``K_inf = K(T_inf)``.
+constants and latent heat are scaled by ``U_c^2``, conductivities by ``K_inf = K(T_inf)``. Effects
+(:mod:`imr_torch.simulate.effects`) enter as factors and offsets of these numbers.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from imr_torch.material import PARAMETERS, StressTerm, active_terms, dimensionless
+import imr_torch.simulate.effects  # noqa: F401 - registers its parameters
+from imr_torch.material import PARAMETERS, AnyTerm, active_terms, dimensionless, memory_start, memory_states
 from imr_torch.simulate.conditions import SATURATION_PREFACTOR, SATURATION_TEMPERATURE, Conditions
 
 
@@ -24,30 +27,22 @@ class Constants:
         slope: ``A`` of ``K* = A T + B``; ``A + B = 1``.
         vapour_constant: ``R_v``.
         air_constant: ``R_a``.
-        saturation: prefactor of the saturation pressure, 0 without vapour transport.
         evaporation: ``T_e`` of ``p_sat ~ exp(-T_e/T)``.
         latent_heat: ``L``.
         conductivity: ``K_m``.
-        sound_speed: ``c``.
-        constant_vapour: pressure of vapour that takes no part in transport.
         warm: whether the medium warms up.
         gas_capacity: whether the medium takes the gas's heat capacity at the wall (parity with the published code).
-        stress_acceleration: whether ``dU/dt`` counts in ``dS/dt``.
     """
 
     heat_ratio: float
     slope: float
     vapour_constant: float
     air_constant: float
-    saturation: float
     evaporation: float
     latent_heat: float
     conductivity: float
-    sound_speed: float
-    constant_vapour: float
     warm: bool
     gas_capacity: bool
-    stress_acceleration: bool
 
     @classmethod
     def of(cls, conditions: Conditions) -> "Constants":
@@ -56,21 +51,16 @@ class Constants:
         speed_squared = outer.velocity_scale**2
         gas = mixture.gas_constant * outer.temperature / speed_squared
         far = far_conductivity(conditions)
-        transported = mixture.vapour == "transported"
         return cls(
             heat_ratio=mixture.heat_ratio,
             slope=mixture.conductivity_slope * outer.temperature / far,
             vapour_constant=gas / mixture.vapour_mass,
             air_constant=gas / mixture.air_mass,
-            saturation=SATURATION_PREFACTOR / outer.far_field_pressure if transported else 0.0,
             evaporation=SATURATION_TEMPERATURE / outer.temperature,
             latent_heat=medium.latent_heat / speed_squared,
             conductivity=medium.conductivity / far,
-            sound_speed=outer.sound_speed / outer.velocity_scale,
-            constant_vapour=conditions.saturation if mixture.vapour == "constant" else 0.0,
             warm=medium.warm,
             gas_capacity=medium.capacity_of == "gas_wall",
-            stress_acceleration=conditions.stress_acceleration,
         )
 
 
@@ -80,46 +70,60 @@ def far_conductivity(conditions: Conditions) -> float:
     return mixture.conductivity_slope * conditions.surroundings.temperature + mixture.conductivity_offset
 
 
-_NAMES = ("weber", "rest_radius", "start", "chi", "fom", "foh", "heating")
-
-
 @dataclass(frozen=True)
 class Bubbles:
     """A batch ready to be integrated.
 
     Args:
+        conditions: what the batch was made from.
         constants: what all bubbles share.
         terms: the stress terms that act in this batch.
-        numbers: ``k x B`` tensor, what each has for itself: We, ``R_inf*``, pressure at the start, ``chi``, ``Fo_m``,
-            ``Fo_h``, ``12 Br/Re``, then the dimensionless material parameters.
+        names: what the rows of ``numbers`` are.
+        numbers: ``len(names) x B`` tensor.
+
+    Rows of ``numbers``: ``rest_radius``; ``tension`` (``1/We``); ``slowness`` (``1/c``); ``far`` (pressure afar);
+    ``image`` (strength of a mirror bubble); ``velocity`` (at time zero); ``seconds`` (a unit of time); ``gas`` (pressure of
+    polytropic gas at ``R = 1``) and ``vapour`` (constant, beside it); ``start`` (pressure of the transporting mixture at
+    ``R = 1``) and ``constant_vapour`` (beside that); ``saturation`` (prefactor of the saturation pressure); ``chi``, and
+    ``chi_gas`` in the bubble; ``fom``; ``foh``; ``heating``; then all parameters as ``theta.NAME``.
     """
 
+    conditions: Conditions
     constants: Constants
-    terms: tuple[StressTerm, ...]
+    terms: tuple[AnyTerm, ...]
+    names: tuple[str, ...]
     numbers: Tensor
 
     @classmethod
-    def of(cls, parameters: Tensor, designs: Tensor, conditions: Conditions) -> "Bubbles":
-        """Make a batch dimensionless: ``parameters`` is ``B x p`` (SI), ``designs`` ``B x 2`` (We, R_inf*)."""
-        outer, mixture, medium = conditions.surroundings, conditions.mixture, conditions.medium
+    def of(
+        cls, parameters: Tensor, designs: Tensor, conditions: Conditions, terms: Sequence[AnyTerm] | None = None
+    ) -> "Bubbles":
+        """Make a batch dimensionless.
+
+        Args:
+            parameters: ``B x p`` tensor, SI.
+            designs: ``B x 2`` tensor, (We, R_inf*).
+            conditions: surroundings, contents and gel.
+            terms: stress terms to choose from; all registered ones by default.
+        """
+        outer = conditions.surroundings
         weber, rest = designs[:, 0], designs[:, 1]
         size = outer.max_radius(weber)
         theta = dimensionless(parameters, size, outer)
-        speed = outer.velocity_scale
-        capacity = 1.0 if medium.capacity_of == "gas_wall" else medium.heat_capacity
-        vapour = conditions.saturation if mixture.vapour != "absent" else 0.0
-        partial = vapour if mixture.vapour == "transported" else 0.0
         numbers = {
-            "weber": weber,
             "rest_radius": rest,
-            "start": (1.0 + 1.0 / (weber * rest) - vapour) * rest**3 + partial,
-            "chi": outer.temperature * far_conductivity(conditions) / (outer.far_field_pressure * speed) / size,
-            "fom": mixture.diffusivity / speed / size,
-            "foh": medium.conductivity / (outer.density * capacity * speed) / size,
-            "heating": 12.0 * speed**2 / (capacity * outer.temperature) * theta["mu"] * float(medium.warm),
+            "tension": torch.exp(theta["surface_tension"]) / weber,
+            "slowness": torch.exp(-theta["sound_speed"]) * (outer.velocity_scale / outer.sound_speed),
+            "far": 1.0 + theta["far_field_pressure"],
+            "image": theta["wall"],
+            "velocity": theta["residual_velocity"] + conditions.initial_velocity / outer.velocity_scale,
+            "seconds": outer.time_scale(size),
+            **_contents(weber, rest, theta["vapour_pressure"], conditions),
+            **_transport(size, theta, conditions),
         }
-        rows = [numbers[name] for name in _NAMES] + list(theta.values())
-        return cls(Constants.of(conditions), active_terms(theta), torch.stack(rows))
+        names = (*numbers, *(f"theta.{name}" for name in theta))
+        rows = torch.stack(torch.broadcast_tensors(*numbers.values(), *theta.values()))
+        return cls(conditions, Constants.of(conditions), active_terms(theta, terms), names, rows)
 
     def __len__(self) -> int:
         return self.numbers.shape[1]
@@ -133,9 +137,57 @@ class Bubbles:
 
     @cached_property
     def _rows(self) -> dict[str, Tensor]:
-        return dict(zip(_NAMES, self.numbers, strict=False))
+        return dict(zip(self.names, self.numbers, strict=True))
 
     @cached_property
     def theta(self) -> dict[str, Tensor]:
         """Dimensionless material parameters, each a ``B`` tensor."""
-        return dict(zip(PARAMETERS.names, self.numbers[len(_NAMES) :], strict=True))
+        return {name: self._rows[f"theta.{name}"] for name in PARAMETERS.names}
+
+    @cached_property
+    def states(self) -> int:
+        """Memory states of the gel a member."""
+        return memory_states(self.terms)
+
+    def memory_start(self) -> Tensor:
+        """Memory states at time zero, ``K x B``."""
+        return memory_start(self.terms, self["rest_radius"], self.theta)
+
+    @cached_property
+    def mirrored(self) -> bool:
+        """Whether any member has a mirror bubble."""
+        return bool((self["image"] != 0.0).any())
+
+
+def _contents(weber: Tensor, rest: Tensor, excess: Tensor, conditions: Conditions) -> dict[str, Tensor]:
+    """Pressures inside at the maximum radius; ``excess`` is what the vapour pressure has beyond saturation."""
+    gas, kind = conditions.gas, conditions.mixture.vapour
+    saturated = conditions.saturation + excess
+    nothing = torch.zeros_like(weber)
+    at_rest = 1.0 + 1.0 / (weber * rest)
+    beside = saturated if gas.vapour else nothing
+    power = 3.0 if gas.reference == "maximum" else 3.0 * gas.exponent
+    inside = nothing if kind == "absent" else saturated
+    prefactor = SATURATION_PREFACTOR / conditions.surroundings.far_field_pressure
+    return {
+        "gas": (at_rest - beside) * rest**power,
+        "vapour": beside,
+        "start": (at_rest - inside) * rest**3 + (nothing if kind == "constant" else inside),
+        "constant_vapour": inside if kind == "constant" else nothing,
+        "saturation": prefactor * (1.0 + excess / conditions.saturation) if kind == "transported" else nothing,
+    }
+
+
+def _transport(size: Tensor, theta: dict[str, Tensor], conditions: Conditions) -> dict[str, Tensor]:
+    """Numbers of heat and mass transport; ``size`` is ``Rmax`` in metres."""
+    outer, medium = conditions.surroundings, conditions.medium
+    speed = outer.velocity_scale
+    capacity = 1.0 if medium.capacity_of == "gas_wall" else medium.heat_capacity
+    chi = outer.temperature * far_conductivity(conditions) / (outer.far_field_pressure * speed) / size
+    return {
+        "chi": chi,
+        "chi_gas": chi * torch.exp(theta["heat_exchange"]),
+        "fom": conditions.mixture.diffusivity / speed / size,
+        "foh": medium.conductivity / (outer.density * capacity * speed) / size,
+        "heating": 12.0 * speed**2 / (capacity * outer.temperature) * theta["mu"] * float(medium.warm),
+    }

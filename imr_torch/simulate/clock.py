@@ -13,9 +13,17 @@ _REST = 0.3  # keeps g finite where nothing moves: about the frequency of the sl
 _PRESSURE = 0.5
 _FALL = 0.5
 _VISCOUS = 0.05  # keeps step * rate below the stability limit 2.8 of RK4 for overdamped bubbles
+_MEMORY = 0.2  # the same for memory that fades faster than the bubble moves
 
 
-def time_per_tick(radius: Tensor, velocity: Tensor, acceleration: Tensor, pressure: Tensor, stiffness: Tensor) -> Tensor:
+def time_per_tick(
+    radius: Tensor,
+    velocity: Tensor,
+    acceleration: Tensor,
+    pressure: Tensor,
+    stiffness: Tensor,
+    relaxation: Tensor | None = None,
+) -> Tensor:
     """``g = dt/d tau``: the shortest of the bubble's own time scales, blended smoothly.
 
     Args:
@@ -24,6 +32,7 @@ def time_per_tick(radius: Tensor, velocity: Tensor, acceleration: Tensor, pressu
         acceleration: ``dU/dt``; gives the fall time ``sqrt(R/|U'|)``.
         pressure: bubble and elastic pressure over ``p_inf``; gives ``R/sqrt(p)``, the period of the gas spring.
         stiffness: ``4/Re``; gives the viscous time ``R^2 Re/4``.
+        relaxation: rate of the fastest memory of the gel, if it has any.
 
     Returns:
         Tensor of the broadcast shape, dimensionless time per unit of ``tau``.
@@ -35,6 +44,8 @@ def time_per_tick(radius: Tensor, velocity: Tensor, acceleration: Tensor, pressu
         + velocity * velocity
         + _VISCOUS * (stiffness / radius) ** 2
     )
+    if relaxation is not None:
+        rates = rates + (_MEMORY * radius * relaxation) ** 2
     return radius * torch.rsqrt(rates)
 
 

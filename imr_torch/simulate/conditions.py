@@ -4,7 +4,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
+from torch import Tensor
+
 from imr_torch.errors import InputDataError
+from imr_torch.simulate.driving import Driving
+from imr_torch.simulate.radial import KellerMiksis, RadialEquation
 from imr_torch.units import Surroundings
 
 SATURATION_PREFACTOR = 1.17e11
@@ -39,6 +43,10 @@ class PolytropicGas:
             )
         if self.reference not in ("maximum", "rest"):
             raise InputDataError(f"PolytropicGas.reference is {self.reference!r}; expected 'maximum' or 'rest'.")
+
+    def stiffness(self, pressure: Tensor, vapour_pressure: Tensor) -> Tensor:
+        """``-dp_b/d ln R`` at a pressure ``p_b`` of the contents: vapour at constant pressure has none."""
+        return 3.0 * self.exponent * (pressure - vapour_pressure)
 
 
 @dataclass(frozen=True)
@@ -81,7 +89,8 @@ class GasMixture:
         vapour_mass: molar mass of the vapour, kg/mol.
         air_mass: molar mass of the gas that does not condense, kg/mol.
         vapour: ``"transported"``: in equilibrium at the wall, diffusing inside. ``"constant"``: its saturation
-            pressure at the far temperature is added to the pressure of dry air. ``"absent"``: dry air.
+            pressure at the far temperature is added to the pressure of dry air. ``"frozen"``: saturated at the start and
+            trapped, so that it is compressed with the air. ``"absent"``: dry air.
     """
 
     heat_ratio: float = 1.4
@@ -91,11 +100,12 @@ class GasMixture:
     gas_constant: float = 8.3144598
     vapour_mass: float = 18.01528e-3
     air_mass: float = 28.966e-3
-    vapour: Literal["transported", "constant", "absent"] = "transported"
+    vapour: Literal["transported", "constant", "frozen", "absent"] = "transported"
 
     def __post_init__(self) -> None:
-        if self.vapour not in ("transported", "constant", "absent"):
-            raise InputDataError(f"GasMixture.vapour is {self.vapour!r}; expected 'transported', 'constant' or 'absent'.")
+        known = ("transported", "constant", "frozen", "absent")
+        if self.vapour not in known:
+            raise InputDataError(f"GasMixture.vapour is {self.vapour!r}; expected one of {', '.join(known)}.")
         if not 1.0 < self.heat_ratio <= 5.0 / 3.0:
             raise InputDataError(f"GasMixture.heat_ratio is {self.heat_ratio}; expected above 1 and at most 5/3.")
         _positive(self, "conductivity_slope conductivity_offset diffusivity gas_constant vapour_mass air_mass")
@@ -143,15 +153,27 @@ class Conditions:
         gas: the bubble's contents as the polytropic simulator takes them.
         mixture: the bubble's contents as the transport simulator takes them.
         medium: the gel as a conductor of heat (transport simulator).
-        stress_acceleration: whether the part of ``dS/dt`` that is proportional to ``dU/dt`` acts in the Keller-Miksis
-            equation of the transport simulator. The published code leaves it out; for parity with it only.
+        motion: the radial equation; see ``RADIAL_EQUATIONS``.
+        driving: pressure afar on top of ``p_inf``; None for none.
+        initial_velocity: of the wall at time zero, m/s; 0 at the maximum radius.
+        stress_acceleration: whether the part of ``dS/dt`` that is proportional to ``dU/dt`` acts in the radial equation.
+            The published code leaves it out; for parity with it only.
     """
 
     surroundings: Surroundings = field(default_factory=Surroundings)
     gas: PolytropicGas = field(default_factory=PolytropicGas)
     mixture: GasMixture = field(default_factory=GasMixture)
     medium: Medium = field(default_factory=Medium)
+    motion: RadialEquation = field(default_factory=KellerMiksis)
+    driving: Driving | None = None
+    initial_velocity: float = 0.0
     stress_acceleration: bool = True
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.motion, RadialEquation):
+            raise InputDataError(f"Conditions.motion is {self.motion!r}; expected a RadialEquation, see RADIAL_EQUATIONS.")
+        if not math.isfinite(self.initial_velocity):
+            raise InputDataError(f"Conditions.initial_velocity is {self.initial_velocity}; it must be finite, in m/s.")
 
     @property
     def vapour_pressure(self) -> float:

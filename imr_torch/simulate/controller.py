@@ -1,13 +1,16 @@
 """How long a step may be: an error estimate scaled to what matters, and the usual step-size rule.
 
-The largest of the scaled errors of ``R``, ``U``, ``ln P`` and of the fields (root mean square, temperatures at a lower
-weight) must stay below the tolerance; steps then change by ``0.8 err^(-1/4)`` (Hairer & Wanner 1996, section IV.8).
+The largest of the scaled errors of ``R``, ``U``, ``ln P``, the gel's memory and of the fields (root mean square,
+temperatures at a lower weight) must stay below the tolerance; steps then change by ``0.8 err^(-1/4)`` (Hairer & Wanner
+1996, section IV.8).
 """
 
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+
+from imr_torch.simulate.rhs import Equations
 
 _SAFETY, _SHRINK, _GROW = 0.8, 0.1, 3.0
 _HEAT_WEIGHT = 0.3
@@ -27,18 +30,20 @@ class Controller:
     first: float = 1e-3
     order: int = 4
 
-    def error(self, before: Tensor, after: Tensor, error: Tensor, inside: int) -> Tensor:
+    def error(self, before: Tensor, after: Tensor, error: Tensor, equations: Equations) -> Tensor:
         """Scaled error of a step, a ``B`` tensor: at most 1 if the step may be accepted, infinite or NaN if it failed.
 
         Args:
             before: ``nx x B`` tensor, the state before the step.
             after: the state after it.
             error: its estimated error.
-            inside: nodes inside the bubble.
+            equations: the system, which knows the layout of the state.
         """
         radius = after[0]
-        speed = after[1].abs() + 0.1 * torch.sqrt(1.0 + torch.exp(after[2]))
-        heat, vapour, gel = error[4:].split((inside, inside, error.shape[0] - 4 - 2 * inside))
+        inside = equations.n
+        pressure = 1.0 + torch.exp(after[2])
+        speed = after[1].abs() + 0.1 * torch.sqrt(pressure)
+        heat, vapour, gel, memory = error[4:].split((inside, inside, equations.m, equations.memory))
         hottest = 0.1 + torch.maximum(before[4 : 4 + inside].abs().amax(0), after[4 : 4 + inside].abs().amax(0))
         warmest = 0.01 + after[3].abs()
         scaled = torch.stack(
@@ -49,6 +54,7 @@ class Controller:
                 _HEAT_WEIGHT * _rms(heat) / hottest,
                 _rms(vapour),
                 _HEAT_WEIGHT * _rms(gel) / warmest,
+                *(memory.abs() / (after[len(after) - len(memory) :].abs() + 0.1 * pressure)),
             )
         )
         return torch.where(radius > 0.0, scaled.amax(0) / self.tolerance, torch.inf)

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from imr_torch.simulate.bordered import Jacobian
-from imr_torch.simulate.motion import acceleration_slope
 from imr_torch.simulate.rhs import Equations, Fields
+from imr_torch.simulate.wall import acceleration_slopes
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,9 @@ def linearise(equations: Equations, f: Fields) -> tuple[Tensor, Jacobian]:
         warming,
         (c.slope / f.conductivity + 1.0 / f.temperature) / f.conductivity,
         b["fom"] / f.radius**2,
-        b["chi"] / f.radius**2 * f.laplacians[:, 0] + f.rate,
+        b["chi_gas"] / f.radius**2 * f.laplacians[:, 0] + f.rate,
     )
-    rate, slope = acceleration_slope(b, f.radius, f.velocity, f.pressure, f.rate)
+    rate, slope = acceleration_slopes(b, f.head)
     inside, inside_border, coupling_slope = _inside(equations, f, s)
     outside, outside_border = _outside(equations, f)
     pressure_row, wall_row, pressure_slopes, wall_slopes = _wall_rows(equations, f)
@@ -69,6 +69,10 @@ def linearise(equations: Equations, f: Fields) -> tuple[Tensor, Jacobian]:
         wall_row=wall_row,
         pressure_slopes=pressure_slopes / p,
         wall_slopes=wall_slopes,
+        velocity_time=slope.time,
+        velocity_memory=slope.memory,
+        memory_rows=torch.stack((slope.memory_radius, slope.memory_velocity), 1),
+        memory_memory=slope.memory_memory,
     )
 
 
@@ -80,7 +84,7 @@ def _to_logarithm(border: Tensor, pressure: Tensor, log_rate: Tensor) -> None:
 
 def _inside(equations: Equations, f: Fields, s: _Inside) -> tuple[Tensor, Tensor, Tensor]:
     """Blocks of ``tau`` and ``C``, their border, and how ``C_t`` hangs on the slope of ``tau``."""
-    chi, grid = equations.bubbles["chi"], equations.inside
+    chi, grid = equations.bubbles["chi_gas"], equations.inside
     second = torch.empty_like(f.laplacians)
     second[:, 0], second[:, 1] = chi / f.radius**2 * s.capacity, s.diffusivity
     first = torch.empty_like(second)
@@ -144,7 +148,7 @@ def _outside(equations: Equations, f: Fields) -> tuple[Tensor, Tensor]:
 def _wall_rows(equations: Equations, f: Fields) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Rows of ``q`` and of the wall's balance: in the border, and in the slopes at the wall."""
     b, c, wall = equations.bubbles, equations.bubbles.constants, f.wall
-    k, chi, corner = c.heat_ratio, b["chi"], equations.inside.first[0, 0]
+    k, chi, corner = c.heat_ratio, b["chi_gas"], equations.inside.first[0, 0]
     flux = wall.flux_factor * f.slopes[0, 1]
     by_vapour = flux * (1.0 / (1.0 - wall.vapour) - (c.vapour_constant - c.air_constant) / wall.mixture)
     by_vapour = by_vapour + wall.flux_factor * corner
@@ -168,7 +172,7 @@ def _wall_rows(equations: Equations, f: Fields) -> tuple[Tensor, Tensor, Tensor,
         cold = torch.stack((zero, zero, zero, zero, -1.0 / wall.conductivity))
         return torch.stack(pressure_row), cold, pressure_slopes, torch.stack((zero, zero, zero))
     latent = c.latent_heat / wall.temperature
-    outer = chi * c.conductivity
+    outer = b["chi"] * c.conductivity
     by_wall = (
         chi * corner
         + latent * (by_heat - flux / (wall.temperature * wall.conductivity))

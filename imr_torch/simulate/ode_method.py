@@ -45,10 +45,10 @@ class TransportField:
 
     def __call__(self, time: Tensor, state: Tensor) -> Tensor:
         """``f(x)``; the row of ``tau_w`` is the wall's balance, which must vanish."""
-        return self.equations.rate(self.equations.fields(state))
+        return self.equations.rate(self.equations.fields(state, time.expand(state.shape[1])))
 
     def start(self) -> Tensor:
-        """The state at maximum radius, ``(4 + 2n + m) x B``."""
+        """The state at maximum radius, ``(4 + 2n + m + K) x B``."""
         return self.equations.start()
 
 
@@ -57,7 +57,7 @@ class RosenbrockMethod:
 
     Args:
         func: a :class:`TransportField`, as ``torchdiffeq`` wraps it.
-        y0: ``(4 + 2n + m) x B`` tensor, the state at the first time.
+        y0: ``(4 + 2n + m + K) x B`` tensor, the state at the first time.
         rtol: relative error allowed in a step.
         atol: not used; the scales of the state are known (see :mod:`imr_torch.simulate.controller`).
         max_steps: attempted steps after which the solve is given up.
@@ -77,7 +77,7 @@ class RosenbrockMethod:
         return set()
 
     def integrate(self, t: Tensor) -> Tensor:
-        """States at the times ``t`` (``n_t``), ``n_t x (4 + 2n + m) x B``.
+        """States at the times ``t`` (``n_t``), ``n_t x (4 + 2n + m + K) x B``.
 
         Raises:
             ConvergenceError: if a member runs out of steps; the simulator returns a status instead.
@@ -85,18 +85,18 @@ class RosenbrockMethod:
         with torch.no_grad():
             states, step = [self._state], torch.full_like(self._state[0], self._controller.first)
             for start, end in zip(t[:-1].tolist(), t[1:].tolist(), strict=True):
-                state, step = self._advance(states[-1], step, end - start)
+                state, step = self._advance(states[-1], step, start, end - start)
                 states.append(state)
         return torch.stack(states)
 
-    def _advance(self, state: Tensor, step: Tensor, span: float) -> tuple[Tensor, Tensor]:
+    def _advance(self, state: Tensor, step: Tensor, start: float, span: float) -> tuple[Tensor, Tensor]:
         """All members over one interval; also returns the steps to go on with."""
         left = torch.full_like(step, span)
         for _ in range(self._max_steps):
             last = step >= left
             used = torch.where(last, left, step).clamp_min(1e-16)
-            trial = rosenbrock_step(self._equations, state, used)
-            error = self._controller.error(state, trial.state, trial.error, self._equations.n)
+            trial = rosenbrock_step(self._equations, state, used, start + span - left)
+            error = self._controller.error(state, trial.state, trial.error, self._equations)
             moving = left > 0.0
             accepted = (error <= 1.0) & moving
             state = torch.where(accepted, trial.state, state)

@@ -1,4 +1,4 @@
-"""The polytropic simulator: Keller-Miksis with a gas spring, a whole batch at once.
+"""The polytropic simulator: a radial equation with a gas spring, a whole batch at once.
 
 The batch is integrated by ``torchdiffeq`` (fixed-step RK4) under the time transformation of
 :mod:`imr_torch.simulate.clock`, in blocks of steps; members that have reached their last time leave after each block.
@@ -11,10 +11,12 @@ import torch
 from torch import Tensor
 from torchdiffeq import odeint
 
+from imr_torch.material import AnyTerm, MemoryTerm
+from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import interpolate, time_per_tick
 from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.simulator import Solution, Status, solve_batch
-from imr_torch.simulate.wall import PolytropicBubble
+from imr_torch.simulate.wall import Head, acceleration, gel_memory_rate
 
 _BLOCK = 32  # steps between two looks at who is done
 _BATCH = 2000  # members solved together: larger batches leave the processor's cache
@@ -28,10 +30,12 @@ class PolytropicSimulator:
     Args:
         conditions: surroundings and gas.
         stepping: how finely time is cut.
+        terms: stress terms to choose from; all registered ones by default.
     """
 
     conditions: Conditions = field(default_factory=Conditions)
     stepping: Stepping = field(default_factory=Stepping)
+    terms: tuple[AnyTerm, ...] | None = None
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
@@ -44,31 +48,32 @@ class PolytropicSimulator:
 
     def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[Tensor, ...]:
         """One block of members, with failed ones tried again at half the step."""
-        bubble = PolytropicBubble.of(parameters, designs, self.conditions)
+        bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
         stepping = self.stepping
-        results = _march(bubble, times, stepping)
+        results = _march(bubbles, times, stepping)
         for _ in range(stepping.retries):
             failed = torch.nonzero(results[3] != Status.DONE)[:, 0]
             if failed.numel() == 0:
                 break
             stepping = replace(stepping, step=0.5 * stepping.step)
-            again = _march(bubble.take(failed), times[failed], stepping)
+            again = _march(bubbles.take(failed), times[failed], stepping)
             results = tuple(old.index_copy(0, failed, new) for old, new in zip(results, again, strict=True))
         return results
 
 
-def _march(bubble: PolytropicBubble, times: Tensor, stepping: Stepping) -> tuple[Tensor, ...]:
+def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping) -> tuple[Tensor, ...]:
     """Integrate until every member is past its last time; radius, velocity, pressure, status, steps."""
     count, last = times.shape[0], times[:, -1]
-    one, zero = torch.ones_like(last), torch.zeros_like(last)
-    state = torch.stack((one, zero, zero))  # R, U, t of every member
+    zero = torch.zeros_like(last)
+    start = torch.stack((torch.ones_like(last), bubbles["velocity"] + zero, zero))
+    state = torch.cat((start, bubbles.memory_start()))  # R, U, t, memory
     history = [state[None]]
     status = torch.full((count,), int(Status.TOO_MANY_STEPS), device=times.device)
     steps = torch.zeros_like(status)
     active = torch.arange(count, device=times.device)
     ticks = stepping.step * torch.arange(_BLOCK + 1, dtype=times.dtype, device=times.device)
     for _ in range(0, stepping.max_steps, _BLOCK):
-        moving = bubble if active.numel() == count else bubble.take(active)
+        moving = bubbles if active.numel() == count else bubbles.take(active)
         path = odeint(_field(moving), state[:, active], ticks, method="rk4")
         assert isinstance(path, Tensor)  # a tuple only for tuple states
         history.append(state.expand(_BLOCK, *state.shape).index_copy(2, active, path[1:]))
@@ -78,25 +83,43 @@ def _march(bubble: PolytropicBubble, times: Tensor, stepping: Stepping) -> tuple
         active = torch.nonzero(status == Status.TOO_MANY_STEPS)[:, 0]
         if active.numel() == 0:
             break
-    return *_read(bubble, torch.cat(history), times, status), status, steps
+    return *_read(bubbles, torch.cat(history), times, status), status, steps
 
 
-def _field(bubble: PolytropicBubble):
-    """Right-hand side in stretched time of the state (R, U, t), ``3 x B``."""
-    stiffness = 4.0 * bubble.theta["mu"]
-    elastic = 2.0 * bubble.theta["G"] * (1.0 + bubble.theta["alpha"].abs())
+def head_of(bubbles: Bubbles, state: Tensor) -> Head:
+    """What acts on the wall at a state (R, U, t, memory), ``(3 + K) x ...``: a polytropic gas; shapes broadcast with ``B``."""
+    gas = bubbles.conditions.gas
+    radius, velocity, vapour = state[0], state[1], bubbles["vapour"]
+    pressure = bubbles["gas"] * radius ** (-3.0 * gas.exponent) + vapour
+    return Head(state[2], radius, velocity, pressure, -gas.stiffness(pressure, vapour) * velocity / radius, state[3:])
+
+
+def rate_of(bubbles: Bubbles, head: Head) -> Tensor:
+    """Time derivative of the state (R, U, t, memory), ``(3 + K) x B``."""
+    force = acceleration(bubbles, head)
+    motion = torch.stack((head.velocity, force, torch.ones_like(force)))
+    return torch.cat((motion, gel_memory_rate(bubbles, head))) if bubbles.states else motion
+
+
+def _field(bubbles: Bubbles):
+    """Right-hand side in stretched time."""
+    theta = bubbles.theta
+    stiffness = 4.0 * theta["mu"]
+    elastic = 2.0 * theta["G"] * (1.0 + theta["alpha"].abs()) + 2.0 * theta["G_lin"]
+    fading = [term.fastest(theta) for term in bubbles.terms if isinstance(term, MemoryTerm)]
+    relaxation = torch.stack(fading).amax(0) if fading else None
 
     def rate(_: Tensor, state: Tensor) -> Tensor:
-        radius, velocity = state[0], state[1]
-        acceleration, pressure = bubble.acceleration(radius, velocity)
-        per_tick = time_per_tick(radius, velocity, acceleration, pressure + elastic, stiffness)
-        return torch.stack((velocity * per_tick, acceleration * per_tick, per_tick))
+        head = head_of(bubbles, state)
+        motion = rate_of(bubbles, head)
+        pressure = head.pressure + elastic
+        return motion * time_per_tick(head.radius, head.velocity, motion[1], pressure, stiffness, relaxation)
 
     return rate
 
 
 def _judge(path: Tensor, last: Tensor) -> Tensor:
-    """Status of each member after a block of steps; ``path`` is ``n x 3 x B``."""
+    """Status of each member after a block of steps; ``path`` is ``n x (3 + K) x B``."""
     radius, end = path[:, 0], path[-1, 2]
     finite = torch.isfinite(path).all(0).all(0) & (radius > 0.0).all(0)
     verdict = torch.where(end >= last, int(Status.DONE), int(Status.TOO_MANY_STEPS))
@@ -104,17 +127,18 @@ def _judge(path: Tensor, last: Tensor) -> Tensor:
     return torch.where(finite, verdict, int(Status.NON_FINITE))
 
 
-def _read(bubble: PolytropicBubble, history: Tensor, times: Tensor, status: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _read(bubbles: Bubbles, history: Tensor, times: Tensor, status: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Radius, velocity and pressure at ``times``; NaN for times that a failed member did not reach in good state."""
-    radius, velocity, nodes = history.unbind(1)
+    radius, nodes = history[:, 0], history[:, 2]
     good = torch.isfinite(history).all(1) & (radius > 0.0) & (radius < _RUNAWAY)
     reached = torch.where(good, nodes, 0.0).amax(0)  # last good time of each member
     good = good.cummin(0).values
-    radius, velocity = torch.where(good, radius, 1.0), torch.where(good, velocity, 0.0)
     nodes = torch.where(good, nodes, reached).cummax(0).values
-    acceleration, _ = bubble.acceleration(radius, velocity)
-    at, speed = interpolate(nodes.T.contiguous(), radius.T, velocity.T, acceleration.T, times)
+    state = torch.where(good, history.movedim(1, 0), 0.0)
+    state = torch.cat((torch.where(good, radius, 1.0)[None], state[1:2], nodes[None], state[3:]))
+    force = acceleration(bubbles, head_of(bubbles, state))
+    at, speed = interpolate(nodes.T.contiguous(), state[0].T, state[1].T, force.T, times)
     known = (status == Status.DONE)[:, None] | (times < reached[:, None])
     nan = torch.full_like(times, torch.nan)
-    pressure = bubble.bubble_pressure(at.T).T
+    pressure = head_of(bubbles, torch.stack((at.T, speed.T, times.T))).pressure.T
     return torch.where(known, at, nan), torch.where(known, speed, nan), torch.where(known, pressure, nan)

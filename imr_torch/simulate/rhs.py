@@ -1,7 +1,8 @@
 """The right-hand side of a conducting, evaporating bubble; its derivative is in :mod:`imr_torch.simulate.linearise`.
 
 State of a member, in this order: ``R``, ``U``, ``ln P`` (pressure of the contents; its logarithm is what changes
-evenly), ``tau_w``, ``tau`` at ``n`` nodes inside, ``C`` at the same, ``theta = T_m - 1`` at ``m`` nodes outside.
+evenly), ``tau_w``, ``tau`` at ``n`` nodes inside, ``C`` at the same, ``theta = T_m - 1`` at ``m`` nodes outside, and the
+``K`` memory states of the gel.
 ``tau`` is the Kirchhoff temperature, ``d tau = K*(T) dT``; ``C`` the mass fraction of vapour. ``tau_w`` at the wall
 is algebraic: its row of the right-hand side is the wall's balance of heat, which must vanish. Equations: Estrada et
 al. (J. Mech. Phys. Solids 112, 2018), eqs. 4-18 and appendix A.
@@ -14,7 +15,7 @@ from torch import Tensor
 
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.grids import Grid
-from imr_torch.simulate.motion import acceleration
+from imr_torch.simulate.wall import Head, acceleration, gel_memory_rate
 
 HEAD = 4
 """Rows of the state before the fields: R, U, ln P, tau_w."""
@@ -50,7 +51,8 @@ class Fields:
     """Everything that right-hand side and Jacobian share at one state.
 
     Args:
-        radius: ``B`` tensor; ``velocity``, ``pressure`` and ``rate`` (``q = dP/dt``) likewise.
+        head: time, radius, velocity, pressure of all contents and its rate, memory.
+        radius: ``B`` tensor; ``velocity``, ``pressure`` (of the mixture) and ``rate`` (``q = dP/dt``) likewise.
         temperature: ``n x B`` tensor, ``T`` at the inner nodes; ``conductivity`` likewise.
         mixture: ``n x B`` tensor, ``R_mix``.
         slopes: ``(n+1) x 2 x B`` tensor, ``d/dy`` of ``tau`` and ``C``, the wall first.
@@ -59,6 +61,7 @@ class Fields:
         outer_laplacian: ``m x B`` tensor.
     """
 
+    head: Head
     radius: Tensor
     velocity: Tensor
     pressure: Tensor
@@ -84,7 +87,8 @@ class Equations:
 
     def __init__(self, bubbles: Bubbles, inside: Grid, outside: Grid) -> None:
         self.bubbles, self.inside, self.outside = bubbles, inside, outside
-        self.n, self.m = len(inside), len(outside)
+        self.n, self.m, self.memory = len(inside), len(outside), bubbles.states
+        self.rows = HEAD + 2 * self.n + self.m + self.memory
         self._inside_operator = torch.cat((inside.first, inside.laplacian))
         self._outside_operator = torch.cat((outside.first, outside.laplacian))
         self.y = inside.nodes[:, None]
@@ -96,20 +100,21 @@ class Equations:
         return Equations(self.bubbles.take(members), self.inside, self.outside)
 
     def start(self) -> Tensor:
-        """The state at maximum radius: at rest, at the far temperature, vapour in equilibrium; ``(4+2n+m) x B``."""
+        """The state at time zero: at the far temperature, vapour in equilibrium; ``(4+2n+m+K) x B``."""
         pressure = self.bubbles["start"]
-        state = pressure.new_zeros(HEAD + 2 * self.n + self.m, len(self.bubbles))
-        state[0], state[2] = 1.0, pressure.log()
+        state = pressure.new_zeros(self.rows, len(self.bubbles))
+        state[0], state[1], state[2] = 1.0, self.bubbles["velocity"], pressure.log()
         state[HEAD + self.n : HEAD + 2 * self.n] = self._wall(
             pressure, torch.ones_like(pressure), torch.ones_like(pressure)
         ).vapour
+        state[HEAD + 2 * self.n + self.m :] = self.bubbles.memory_start()
         return state
 
     def _wall(self, pressure: Tensor, temperature: Tensor, conductivity: Tensor) -> Wall:
         """Vapour at the wall in equilibrium with water (Estrada et al. 2018, eqs. 17-18)."""
         c = self.bubbles.constants
         ratio = c.vapour_constant / c.air_constant
-        saturation = c.saturation * torch.exp(-c.evaporation / temperature)
+        saturation = self.bubbles["saturation"] * torch.exp(-c.evaporation / temperature)
         scale = (ratio * pressure + (1.0 - ratio) * saturation).reciprocal()
         vapour = saturation * scale
         slope = ratio * vapour * scale
@@ -126,9 +131,9 @@ class Equations:
             capacity=mixture * (c.heat_ratio / (c.heat_ratio - 1.0)) if c.gas_capacity else ones,
         )
 
-    def fields(self, state: Tensor) -> Fields:
-        """Temperatures, slopes and the pressure's rate at a state."""
-        c, n = self.bubbles.constants, self.n
+    def fields(self, state: Tensor, time: Tensor | None = None) -> Fields:
+        """Temperatures, slopes and the pressure's rate at a state; ``time`` (``B``) matters where the far field is driven."""
+        c, n, m = self.bubbles.constants, self.n, self.m
         radius, velocity, pressure = state[0], state[1], torch.exp(state[2])
         conductivity = torch.sqrt(1.0 + 2.0 * c.slope * state[3 : HEAD + n])  # K = A T + B as a function of tau
         temperature = (conductivity + (c.slope - 1.0)) / c.slope
@@ -140,15 +145,19 @@ class Equations:
             state[HEAD + n : HEAD + 2 * n],
         )
         inner = (self._inside_operator @ profiles.reshape(n + 1, -1)).reshape(2 * n + 1, 2, -1)
-        outer = self._outside_operator @ torch.cat((temperature[:1] - 1.0, state[HEAD + 2 * n :]))
+        outer = self._outside_operator @ torch.cat((temperature[:1] - 1.0, state[HEAD + 2 * n : HEAD + 2 * n + m]))
         slopes = inner[: n + 1]
-        k, chi = c.heat_ratio, self.bubbles["chi"]
+        k, chi = c.heat_ratio, self.bubbles["chi_gas"]
         source = (k - 1.0) * chi * slopes[0, 0] + k * c.vapour_constant * wall.flux_factor * slopes[0, 1]
+        rate = 3.0 / radius * (source / radius - k * pressure * velocity)
+        contents = pressure + self.bubbles["constant_vapour"]
+        head = Head(radius if time is None else time, radius, velocity, contents, rate, state[HEAD + 2 * n + m :])
         return Fields(
+            head=head,
             radius=radius,
             velocity=velocity,
             pressure=pressure,
-            rate=3.0 / radius * (source / radius - k * pressure * velocity),
+            rate=rate,
             temperature=temperature[1:],
             conductivity=conductivity[1:],
             mixture=c.air_constant + (c.vapour_constant - c.air_constant) * profiles[1:, 1],
@@ -162,7 +171,7 @@ class Equations:
     def drift(self, f: Fields) -> tuple[Tensor, Tensor]:
         """``(v - y U)/R`` at the inner nodes, ``n x B``, and the factor of ``d tau/dy`` in it, ``B``."""
         k = self.bubbles.constants.heat_ratio
-        factor = self.bubbles["chi"] * (1.0 - 1.0 / k) / (f.pressure * f.radius**2)
+        factor = self.bubbles["chi_gas"] * (1.0 - 1.0 / k) / (f.pressure * f.radius**2)
         return factor * f.slopes[1:, 0] - self.y * (f.rate / (3.0 * k * f.pressure) + f.velocity / f.radius), factor
 
     def diffusion(self, f: Fields) -> tuple[Tensor, Tensor, Tensor]:
@@ -179,24 +188,27 @@ class Equations:
         if not c.warm:
             return -(wall.temperature - 1.0)
         evaporation = c.latent_heat * wall.flux_factor * f.slopes[0, 1] / wall.temperature
-        return self.bubbles["chi"] * (f.slopes[0, 0] - c.conductivity * f.outer_slope[0]) + evaporation
+        b = self.bubbles
+        return b["chi_gas"] * f.slopes[0, 0] - b["chi"] * c.conductivity * f.outer_slope[0] + evaporation
 
     def rate(self, f: Fields, wall_acceleration: Tensor | None = None) -> Tensor:
-        """``f(x)`` at a state, ``(4+2n+m) x B``; ``wall_acceleration`` is ``U'`` where it is known already."""
-        b, n = self.bubbles, self.n
-        result = b.numbers.new_empty(HEAD + 2 * n + self.m, len(b))
+        """``f(x)`` at a state, ``(4+2n+m+K) x B``; ``wall_acceleration`` is ``U'`` where it is known already."""
+        b, n, m = self.bubbles, self.n, self.m
+        result = b.numbers.new_empty(self.rows, len(b))
         result[0], result[2], result[3] = f.velocity, f.rate / f.pressure, self._wall_balance(f)
         if wall_acceleration is None:
-            wall_acceleration = acceleration(b, f.radius, f.velocity, f.pressure, f.rate)
+            wall_acceleration = acceleration(b, f.head)
         result[1] = wall_acceleration
         drift, _ = self.drift(f)
         capacity, mixing, warming = self.diffusion(f)
         heat, vapour = f.slopes[1:].unbind(1)
         square = f.radius**-2
-        result[HEAD : HEAD + n] = (b["chi"] * square * f.laplacians[:, 0] + f.rate) * capacity - drift * heat
+        result[HEAD : HEAD + n] = (b["chi_gas"] * square * f.laplacians[:, 0] + f.rate) * capacity - drift * heat
         diffusion = f.laplacians[:, 1] - vapour * (2.0 * mixing + warming)
         result[HEAD + n : HEAD + 2 * n] = b["fom"] * square * diffusion - drift * vapour
-        result[HEAD + 2 * n :] = self._gel_rate(f)
+        result[HEAD + 2 * n : HEAD + 2 * n + m] = self._gel_rate(f)
+        if self.memory:
+            result[HEAD + 2 * n + m :] = gel_memory_rate(b, f.head)
         return result
 
     def _gel_rate(self, f: Fields) -> Tensor:

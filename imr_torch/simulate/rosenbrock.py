@@ -8,6 +8,7 @@ Darmstadt 1995).
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -32,6 +33,19 @@ class Tableau:
     stages: tuple[tuple[float, ...], ...]
     coupling: tuple[tuple[float, ...], ...]
     order: int
+
+    @cached_property
+    def ticks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Over the step: the increments of time itself, and the time at which each stage takes the right-hand side.
+
+        Time is a state of rate 1, so its increments follow from the method's own recursion.
+        """
+        increments = [self.gamma]
+        moments = [0.0]
+        for weights, coupling in zip(self.stages, self.coupling, strict=True):
+            moments.append(sum(a * u for a, u in zip(weights, increments, strict=True)))
+            increments.append(self.gamma * (1.0 + sum(c * u for c, u in zip(coupling, increments, strict=True))))
+        return tuple(increments), tuple(moments)
 
 
 _LAST = (-7.170454962423024, -4.741636671481785, -16.31002631330971, -1.062004044111401)
@@ -74,16 +88,21 @@ class Step:
     pressure_rate: Tensor
 
 
-def rosenbrock_step(equations: Equations, state: Tensor, step: Tensor, tableau: Tableau = RODAS4P) -> Step:
+def rosenbrock_step(
+    equations: Equations, state: Tensor, step: Tensor, time: Tensor | None = None, tableau: Tableau = RODAS4P
+) -> Step:
     """Advance every member by its own step.
 
     Args:
         equations: the system.
         state: ``nx x B`` tensor.
         step: ``B`` tensor.
+        time: ``B`` tensor, of each member before the step; matters where the far field is driven.
         tableau: the method.
     """
-    fields = equations.fields(state)
+    driven = equations.bubbles.conditions.driving is not None and time is not None
+    increments_of_time, moments = tableau.ticks
+    fields = equations.fields(state, time)
     acceleration, jacobian = linearise(equations, fields)
     inside, outside = equations.inside.first, equations.outside.first
     shift = 1.0 / (tableau.gamma * step)
@@ -91,7 +110,10 @@ def rosenbrock_step(equations: Equations, state: Tensor, step: Tensor, tableau: 
     inverse_step = (1.0 / step).repeat(4, 1)
     inverse_step[3] = 0.0  # tau_w is algebraic
     increments = state.new_empty(len(tableau.stages) + 1, *state.shape)
-    increments[0] = factors.solve(equations.rate(fields, acceleration))
+    right = equations.rate(fields, acceleration)
+    if driven:
+        right[1] += jacobian.velocity_time * step * increments_of_time[0]
+    increments[0] = factors.solve(right)
     argument = state
     for i, weights in enumerate(zip(tableau.stages, tableau.coupling, strict=True), start=1):
         rows = torch.tensor(weights, dtype=state.dtype, device=state.device)
@@ -99,6 +121,8 @@ def rosenbrock_step(equations: Equations, state: Tensor, step: Tensor, tableau: 
         argument = state + offset
         right[:4] *= inverse_step
         right[4:] *= inverse_step[0]
-        right += equations.rate(equations.fields(argument))
+        right += equations.rate(equations.fields(argument, time + moments[i] * step if driven else None))
+        if driven:
+            right[1] += jacobian.velocity_time * step * increments_of_time[i]
         increments[i] = factors.solve(right)
     return Step(argument + increments[-1], increments[-1], acceleration, fields.rate)

@@ -95,9 +95,9 @@ class Stream:
 
     def _tick(self) -> None:
         """One step of every slot; those that are done leave."""
-        step = rosenbrock_step(self._equations, self._state, self._step)
+        step = rosenbrock_step(self._equations, self._state, self._step, self._time)
         self._record(step.acceleration, step.pressure_rate)
-        error = self._controller.error(self._state, step.state, step.error, self._equations.n)
+        error = self._controller.error(self._state, step.state, step.error, self._equations)
         finite = torch.isfinite(error)
         accepted = (error <= 1.0) & self._running & (self._time < self._last[self._member])
         factor = self._controller.factor(error)

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.material import AnyTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.controller import Controller
@@ -59,10 +60,12 @@ class TransportSimulator:
     Args:
         conditions: surroundings, contents and gel; see ``PRESETS``.
         accuracy: how finely time and space are cut; see ``ACCURACIES``.
+        terms: stress terms to choose from; all registered ones by default.
     """
 
     conditions: Conditions = field(default_factory=Conditions)
     accuracy: Accuracy = field(default_factory=Accuracy)
+    terms: tuple[AnyTerm, ...] | None = None
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
@@ -77,9 +80,9 @@ class TransportSimulator:
     def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[Tensor, ...]:
         """One block of members: radius, velocity, pressure, status, steps."""
         settings = self.accuracy
-        bubbles = Bubbles.of(parameters, designs, self.conditions)
+        bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
         inside, outside = (grid.to(parameters) for grid in settings.resolution.grids())
         controller = Controller(settings.tolerance)
         path = Stream(Equations(bubbles, inside, outside), times[:, -1], controller, settings.slots, settings.max_steps).run()
         radius, velocity, pressure = path.at(times)
-        return radius, velocity, pressure + bubbles.constants.constant_vapour, path.status, path.count
+        return radius, velocity, pressure + bubbles["constant_vapour"][:, None], path.status, path.count

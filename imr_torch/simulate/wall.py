@@ -1,87 +1,135 @@
-"""The balance at the bubble wall: Keller-Miksis with surface tension and a stress integral, all dimensionless.
+"""The balance at the bubble wall: pressures of contents, surface, gel and far field put into a radial equation.
 
-``(1 - U/c) R U' + 3/2 (1 - U/(3c)) U^2 = (1 + U/c + (R/c) d/dt) P`` with ``P = p_b - 1/(We R) + S - 1``
-(Keller & Miksis, J. Acoust. Soc. Am. 68, 1980; Estrada et al. 2018, eq. 4). ``dP/dt`` contains ``dU/dt`` through the
-viscous stress; that part is taken to the left-hand side.
+``p_w = p_b - 1/(We R) + S`` in the liquid at the wall, ``p_far = 1 + p_ac`` afar (Estrada et al. 2018, eq. 4). Both simulators
+give ``p_b`` and its rate; everything else that acts on the wall is here, with the exact derivatives that an implicit step
+needs.
 """
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
-from imr_torch.material import StressTerm, active_terms, dimensionless, stress_integral
-from imr_torch.simulate.conditions import Conditions
+from imr_torch.material import Stress, memory_rate, response_slopes, stress_integral
+from imr_torch.simulate.bubbles import Bubbles
+from imr_torch.simulate.radial import WallState
 
 
 @dataclass(frozen=True)
-class PolytropicBubble:
-    """A batch of bubbles made dimensionless, ready to be integrated.
+class Head:
+    """The scalar part of a state.
 
     Args:
-        weber: ``B`` tensor.
-        rest_radius: ``B`` tensor, ``R_inf / Rmax``.
-        theta: dimensionless parameters, each a ``B`` tensor.
-        terms: the stress terms that act in this batch.
-        gas_pressure: ``B`` tensor, gas pressure at ``R = Rmax`` over ``p_inf``.
-        vapour_pressure: over ``p_inf``.
-        exponent: three times the polytropic exponent.
-        sound_speed: over ``U_c``.
+        time: ``B`` tensor, dimensionless; used where the far field is driven.
+        radius: ``B`` tensor.
+        velocity: ``B`` tensor.
+        pressure: ``B`` tensor, ``p_b`` of all contents.
+        pressure_rate: ``B`` tensor, its time derivative.
+        memory: ``K x B`` tensor, the gel's memory states.
     """
 
-    weber: Tensor
-    rest_radius: Tensor
-    theta: dict[str, Tensor]
-    terms: tuple[StressTerm, ...]
-    gas_pressure: Tensor
-    vapour_pressure: float
-    exponent: float
-    sound_speed: float
+    time: Tensor
+    radius: Tensor
+    velocity: Tensor
+    pressure: Tensor
+    pressure_rate: Tensor
+    memory: Tensor
 
-    @classmethod
-    def of(cls, parameters: Tensor, designs: Tensor, conditions: Conditions) -> "PolytropicBubble":
-        """Make a batch dimensionless: ``parameters`` is ``B x p`` (SI), ``designs`` ``B x 2`` (We, R_inf*)."""
-        surroundings, gas = conditions.surroundings, conditions.gas
-        weber, rest_radius = designs[:, 0], designs[:, 1]
-        theta = dimensionless(parameters, surroundings.max_radius(weber), surroundings)
-        exponent = 3.0 * gas.exponent
-        at_rest = 1.0 + 1.0 / (weber * rest_radius) - conditions.vapour_pressure
-        return cls(
-            weber=weber,
-            rest_radius=rest_radius,
-            theta=theta,
-            terms=active_terms(theta),
-            gas_pressure=at_rest * rest_radius ** (3.0 if gas.reference == "maximum" else exponent),
-            vapour_pressure=conditions.vapour_pressure,
-            exponent=exponent,
-            sound_speed=surroundings.sound_speed / surroundings.velocity_scale,
-        )
 
-    def take(self, members: Tensor) -> "PolytropicBubble":
-        """The sub-batch of the members with these indices."""
-        return PolytropicBubble(
-            self.weber[members],
-            self.rest_radius[members],
-            {name: value[members] for name, value in self.theta.items()},
-            self.terms,
-            self.gas_pressure[members],
-            self.vapour_pressure,
-            self.exponent,
-            self.sound_speed,
-        )
+@dataclass(frozen=True)
+class HeadSlopes:
+    """Partial derivatives of ``U'`` and of ``d memory/dt``.
 
-    def bubble_pressure(self, radius: Tensor) -> Tensor:
-        """Gas and vapour pressure over ``p_inf``; ``radius`` broadcasts against ``B``."""
-        return self.gas_pressure * radius**-self.exponent + self.vapour_pressure
+    Args:
+        radius: of ``U'`` in ``R``, a ``B`` tensor; ``velocity``, ``pressure``, ``pressure_rate`` and ``time`` likewise.
+        memory: of ``U'`` in each memory state, ``K x B``.
+        memory_radius: of ``d memory/dt`` in ``R``, ``K x B``; ``memory_velocity`` in ``U``.
+        memory_memory: of ``d memory/dt`` (rows) in memory (columns), ``K x K x B``.
+    """
 
-    def acceleration(self, radius: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
-        """``dU/dt`` and the bubble pressure at a state; shapes broadcast against ``B``."""
-        pressure = self.bubble_pressure(radius)
-        stress = stress_integral(self.terms, radius, velocity, self.rest_radius, self.theta)
-        tension = 1.0 / (self.weber * radius)
-        rate = velocity / radius
-        load = pressure - tension + stress.value - 1.0
-        load_rate = (tension - self.exponent * (pressure - self.vapour_pressure)) * rate + stress.rate
-        mach = velocity / self.sound_speed
-        delay = radius / self.sound_speed
-        force = (1.0 + mach) * load + delay * load_rate - (1.5 - 0.5 * mach) * velocity * velocity
-        return force / ((1.0 - mach) * radius - delay * stress.acceleration), pressure
+    radius: Tensor
+    velocity: Tensor
+    pressure: Tensor
+    pressure_rate: Tensor
+    time: Tensor
+    memory: Tensor
+    memory_radius: Tensor
+    memory_velocity: Tensor
+    memory_memory: Tensor
+
+
+def acceleration(bubbles: Bubbles, head: Head) -> Tensor:
+    """``U'``, a ``B`` tensor."""
+    return bubbles.conditions.motion.acceleration(_wall_state(bubbles, head, _stress(bubbles, head))[0])
+
+
+def gel_memory_rate(bubbles: Bubbles, head: Head) -> Tensor:
+    """``d memory/dt``, ``K x B``."""
+    return memory_rate(bubbles.terms, head.radius, head.velocity, bubbles["rest_radius"], bubbles.theta, head.memory)
+
+
+def acceleration_slopes(bubbles: Bubbles, head: Head) -> tuple[Tensor, HeadSlopes]:
+    """``U'`` and all derivatives."""
+    radius, velocity = head.radius, head.velocity
+    state, far_bend = _wall_state(bubbles, head, _stress(bubbles, head))
+    rate, slopes = bubbles.conditions.motion.slopes(state)
+    gel = response_slopes(bubbles.terms, radius, velocity, bubbles["rest_radius"], bubbles.theta, head.memory)
+
+    def through_stress(stress: Stress) -> Tensor:
+        """``U'`` through a change of the stress, of its rate and of its inertia."""
+        change = slopes.pressure * stress.value + slopes.rate * stress.rate
+        return change + slopes.inertia * stress.acceleration if bubbles.conditions.stress_acceleration else change
+
+    tension = bubbles["tension"] / radius**2
+    by_radius = slopes.pressure * tension - slopes.rate * (2.0 * tension * velocity / radius)
+    memory = head.memory  # K = 0 rows unless the gel remembers
+    memory_memory = memory[:, None].expand(-1, memory.shape[0], -1)
+    if gel.memory:
+        memory = torch.stack([through_stress(response.stress) for response in gel.memory])
+        memory_memory = torch.stack([response.memory_rate for response in gel.memory], 1)
+    return rate, HeadSlopes(
+        radius=slopes.radius + by_radius + through_stress(gel.radius.stress),
+        velocity=slopes.velocity + slopes.rate * tension + through_stress(gel.velocity.stress),
+        pressure=slopes.pressure,
+        pressure_rate=slopes.rate,
+        time=slopes.far * state.far_rate + slopes.far_rate * far_bend,
+        memory=memory,
+        memory_radius=gel.radius.memory_rate,
+        memory_velocity=gel.velocity.memory_rate,
+        memory_memory=memory_memory,
+    )
+
+
+def _stress(bubbles: Bubbles, head: Head) -> Stress:
+    gel = (head.radius, head.velocity, bubbles["rest_radius"], bubbles.theta)
+    return stress_integral(bubbles.terms, *gel, head.memory)
+
+
+def _wall_state(bubbles: Bubbles, head: Head, stress: Stress) -> tuple[WallState, Tensor]:
+    """What the radial equation takes, and the second time derivative of the pressure afar."""
+    tension = bubbles["tension"] / head.radius
+    far, far_rate, far_bend = _far_field(bubbles, head.time)
+    state = WallState(
+        radius=head.radius,
+        velocity=head.velocity,
+        pressure=head.pressure - tension + stress.value,
+        rate=head.pressure_rate + tension * head.velocity / head.radius + stress.rate,
+        inertia=stress.acceleration if bubbles.conditions.stress_acceleration else torch.zeros_like(head.radius),
+        far=far,
+        far_rate=far_rate,
+        slowness=bubbles["slowness"],
+        image=bubbles["image"] if bubbles.mirrored else None,
+    )
+    return state, far_bend
+
+
+def _far_field(bubbles: Bubbles, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Pressure afar and its first two time derivatives, dimensionless."""
+    still = torch.zeros_like(bubbles["far"])
+    driving = bubbles.conditions.driving
+    if driving is None:
+        return bubbles["far"], still, still
+    seconds = bubbles["seconds"]
+    value, rate, bend = driving(time * seconds)
+    pressure = 1.0 / bubbles.conditions.surroundings.far_field_pressure
+    return bubbles["far"] + value * pressure, rate * seconds * pressure, bend * seconds**2 * pressure

@@ -16,7 +16,16 @@ GRIDS: dict[str, Accuracy] = {
     # NT = NTM = 240 points and L = 2; the tolerance resolves that grid's own solution
     "authors_240": replace(ACCURACIES["reference"], tolerance=1e-5, resolution=Resolution(240, 240, 2.0, 2.0, "authors")),
 }
-COLUMNS = {"G": "G_Pa", "mu": "mu_Pa_s", "alpha": "alpha"}
+MODELS: dict[str, tuple[str, dict[str, str]]] = {
+    "qkv": ("qkv", {"G": "G_Pa", "mu": "mu_Pa_s", "alpha": "alpha"}),
+    "nhkv": ("nhkv", {"G": "G_Pa", "mu": "mu_Pa_s"}),
+    "fung2": ("fung2", {"G": "G_Pa", "mu": "mu_Pa_s", "alpha_fung2": "alpha"}),
+    "fungexp": ("fungexp", {"G": "G_Pa", "mu": "mu_Pa_s", "alpha_fung": "alpha"}),
+    "linkv": ("linkv", {"G_lin": "G_Pa", "mu": "mu_Pa_s"}),
+    "sls": ("sls", {"G_lin": "G_Pa", "mu": "mu_Pa_s", "tau_sls": "lambda_s"}),
+    "nhzen": ("sns", {"G": "G_Pa", "mu": "mu_Pa_s", "tau_sns": "lambda_s"}),
+}
+"""The set's models: key in the registry, and which entry of a case is which parameter."""
 
 
 def radius(case: Mapping[str, Any], t_star: np.ndarray) -> np.ndarray:
@@ -26,10 +35,10 @@ def radius(case: Mapping[str, Any], t_star: np.ndarray) -> np.ndarray:
         UnsupportedError: for a constitutive model that is not in the registry.
     """
     model = case["equivalent_model"]
-    if model not in MATERIALS or not set(MATERIALS[model].names) <= set(COLUMNS):
-        raise UnsupportedError(f"Model {model!r} is not in the registry; known are {', '.join(MATERIALS)}.")
-    names = MATERIALS[model].names
-    parameters = PARAMETERS.pack({name: float(case[COLUMNS[name]]) for name in names})
+    key, columns = MODELS.get(model, (model, {"G": "G_Pa", "mu": "mu_Pa_s", "alpha": "alpha"}))
+    if key not in MATERIALS or not set(MATERIALS[key].names) <= set(columns):
+        raise UnsupportedError(f"Model {model!r} is not in the registry; known are {', '.join(MODELS)}.")
+    parameters = PARAMETERS.pack({name: float(case[columns[name]]) for name in MATERIALS[key].names})
     designs = torch.tensor([case["We"], case["Rinf_star"]], dtype=torch.float64)
     simulator = TransportSimulator(preset(case.get("preset", "published")), GRIDS[case.get("grid", "converged")])
     times = torch.as_tensor(np.asarray(t_star, dtype=np.float64))
