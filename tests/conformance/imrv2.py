@@ -1,0 +1,179 @@
+"""Another public solver's configurations through this toolkit: ``radius(config)``.
+
+Where that solver departs from the textbook, the departure is here and not in the library: a polytropic gas whose vapour is
+compressed with it in the pressure's rate, Gilmore's equation without the factor on the rate of enthalpy and with the
+Tait liquid's own sound speed, and a Zener model that lets the elastic stress relax too.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from imr_torch.errors import UnsupportedError
+from imr_torch.material import PARAMETERS, Stress
+from imr_torch.material.elastic import NeoHookeanElasticity, StrainStiffening
+from imr_torch.simulate import (
+    STEPPINGS,
+    Accuracy,
+    Conditions,
+    GasMixture,
+    Gilmore,
+    KellerMiksis,
+    KellerMiksisEnthalpy,
+    Medium,
+    PolytropicGas,
+    PolytropicSimulator,
+    RadialEquation,
+    RayleighPlesset,
+    Resolution,
+    TransportSimulator,
+)
+from imr_torch.units import Surroundings
+
+PARAMETER_OF = {"mu": "viscosity_pa_s", "G": "shear_modulus_pa", "alpha": "strain_stiffening_coefficient"}
+MODELS = {
+    "none": (),
+    "neo_hookean_kelvin_voigt": ("mu", "G"),
+    "quadratic_neo_hookean_kelvin_voigt": ("mu", "G", "alpha"),
+    "neo_hookean_zener": ("mu", "G", "tau", "retardation"),
+    "quadratic_neo_hookean_zener": ("mu", "G", "alpha", "tau", "retardation"),
+    "upper_convected_maxwell": ("mu", "tau_ucm", "retardation"),
+}
+ACCURACY = Accuracy(1e-5, Resolution(28, 32), max_steps=100000)
+
+
+@dataclass(frozen=True)
+class CompressedVapour(PolytropicGas):
+    """Its pressure rises as ``-3 kappa p U/R`` with the vapour counted in ``p``."""
+
+    def stiffness(self, pressure: Tensor, vapour_pressure: Tensor) -> Tensor:
+        """See :class:`imr_torch.simulate.PolytropicGas`."""
+        return 3.0 * self.exponent * pressure
+
+
+class WholeRateGilmore(Gilmore):
+    """Without the factor ``1 - U/c`` on the rate of enthalpy."""
+
+    local_rate = False
+
+
+class LaggingZener:
+    """``De Z' + Z = R^3 S_e - 4 (1 - s) R^2 U/Re``, ``S = Z/R^3 - 4 s U/(Re R)``; wall inertia of the whole viscosity."""
+
+    names: ClassVar[tuple[str, ...]] = ("mu", "G", "alpha", "tau", "retardation")
+    switch: ClassVar[str] = "tau"
+    states: ClassVar[int] = 1
+
+    def __call__(
+        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor
+    ) -> Stress:
+        instant = 4.0 * theta["retardation"] * theta["mu"] * velocity / radius
+        rate = self.memory_rate(radius, velocity, rest_radius, theta, memory)[0]
+        return Stress(memory[0] - instant, rate + instant * velocity / radius, -4.0 * theta["mu"] / radius)
+
+    def start(self, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Tensor:
+        return torch.zeros_like(rest_radius)[None]
+
+    def memory_rate(
+        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor
+    ) -> Tensor:
+        gel, strain = (radius, velocity, rest_radius, theta), velocity / radius
+        elastic = NeoHookeanElasticity()(*gel).value + StrainStiffening()(*gel).value
+        drive = 4.0 * (1.0 - theta["retardation"]) * theta["mu"] * strain
+        return (elastic - memory - drive) / theta["tau"] - 3.0 * strain * memory
+
+    def fastest(self, theta: Mapping[str, Tensor]) -> Tensor:
+        return 1.0 / theta["tau"]
+
+
+def radius(config: Mapping[str, Any]) -> Tensor:
+    """``R/R_0`` at ``config["times_s"]`` for a flat configuration in SI units.
+
+    Raises:
+        UnsupportedError: for a stress model or radial equation that is not known.
+    """
+    names = MODELS.get(config["stress_model"])
+    if names is None:
+        raise UnsupportedError(f"Stress model {config['stress_model']!r} is not known; known are {', '.join(MODELS)}.")
+    conditions = _conditions(config)
+    outer = conditions.surroundings
+    size = float(config["initial_radius_m"])
+    times = torch.as_tensor(config["times_s"], dtype=torch.float64) / outer.time_scale(size)
+    designs = torch.tensor([outer.weber(size), config["equilibrium_radius_m"] / size], dtype=torch.float64)
+    terms = (LaggingZener(),) if "tau" in names else None
+    if config["bubble_gas"] == "polytropic":
+        simulator = PolytropicSimulator(conditions, STEPPINGS["reference"], terms)
+    else:
+        simulator = TransportSimulator(conditions, ACCURACY, terms)
+    return simulator(PARAMETERS.pack(_values(config, names)), designs, times).radius
+
+
+def _values(config: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, float]:
+    relaxation = config["relaxation_time_s"]
+    times = {"tau": relaxation, "tau_ucm": relaxation}
+    if "retardation" in names:
+        times["retardation"] = (config["retardation_time_s"] or 0.0) / relaxation
+    return {name: float(times[name] if name in times else config[PARAMETER_OF[name]]) for name in names}
+
+
+def _conditions(config: Mapping[str, Any]) -> Conditions:
+    """Everything but the gel."""
+    pressure, n = config["far_field_pressure_pa"], config["tait_exponent"]
+    tait = config["tait_stiffness_pa"]
+    motions: dict[str, RadialEquation] = {
+        "rayleigh_plesset": RayleighPlesset(),
+        "keller_miksis_pressure": KellerMiksis(),
+        "keller_miksis_enthalpy": KellerMiksisEnthalpy(n, tait / pressure),
+        "gilmore": WholeRateGilmore(n, tait / pressure),
+    }
+    if config["radial_equation"] not in motions:
+        raise UnsupportedError(f"Radial equation {config['radial_equation']!r} is not known; known are {', '.join(motions)}.")
+    density, sound = config["liquid_density_kg_per_m3"], config["sound_speed_m_per_s"]
+    if config["radial_equation"] == "gilmore":
+        sound = (n * (pressure + tait) / density) ** 0.5
+    outer = Surroundings(pressure, density, config["surface_tension_n_per_m"], config["far_field_temperature_k"], sound)
+    ratio = config["ratio_of_specific_heats"]
+    return Conditions(
+        surroundings=outer,
+        gas=CompressedVapour(ratio, "rest", config["vapour_pressure"]),
+        mixture=_mixture(config),
+        medium=Medium(
+            conductivity=config["liquid_conductivity_w_per_m_k"],
+            heat_capacity=config["liquid_specific_heat_j_per_kg_k"],
+            latent_heat=config["latent_heat_j_per_kg"],
+            warm=config["medium_temperature"] != "constant",
+        ),
+        motion=motions[config["radial_equation"]],
+        initial_velocity=config["initial_wall_velocity_m_per_s"],
+    )
+
+
+def _mixture(config: Mapping[str, Any]) -> GasMixture:
+    """Gas and vapour of one conductivity: that of the mixture at the start."""
+    vapour_mass, air_mass = config["vapour_molar_mass_kg_per_mol"], config["gas_molar_mass_kg_per_mol"]
+    pressure, tension = config["far_field_pressure_pa"], 2.0 * config["surface_tension_n_per_m"]
+    rest, size = config["equilibrium_radius_m"], config["initial_radius_m"]
+    saturation = config["saturation_pressure_prefactor_pa"] * torch.exp(
+        torch.tensor(-config["saturation_pressure_temperature_k"] / config["far_field_temperature_k"], dtype=torch.float64)
+    )
+    saturation = float(saturation) if config["vapour_pressure"] else 0.0
+    start = (pressure + tension / rest - saturation) * (rest / size) ** 3 + saturation
+    share = 1.0 / (1.0 + air_mass / vapour_mass * (start / saturation - 1.0)) if saturation else 0.0
+
+    def mixed(name: str) -> float:
+        return share * config[f"vapour_conductivity_{name}"] + (1.0 - share) * config[f"gas_conductivity_{name}"]
+
+    vapour = "transported" if config["vapour_mass_transfer"] else "frozen" if config["vapour_pressure"] else "absent"
+    return GasMixture(
+        heat_ratio=config["ratio_of_specific_heats"],
+        conductivity_slope=mixed("slope_w_per_m_k2"),
+        conductivity_offset=mixed("offset_w_per_m_k"),
+        diffusivity=config["vapour_diffusivity_m2_per_s"],
+        gas_constant=config["universal_gas_constant_j_per_mol_k"],
+        vapour_mass=vapour_mass,
+        air_mass=air_mass,
+        vapour=vapour,
+    )
