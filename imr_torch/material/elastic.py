@@ -99,6 +99,7 @@ class _FungElasticity:
 
     names: ClassVar[tuple[str, ...]]
     switch: ClassVar[str]
+    analytic: ClassVar[bool] = True
 
     def excess(self, alpha: Tensor, invariant: Tensor) -> Tensor:
         """``f - 1``: the relative increase of the modulus at ``I_1 - 3``."""
@@ -141,7 +142,8 @@ class ExponentialFung(_FungElasticity):
 
     def excess(self, alpha: Tensor, invariant: Tensor) -> Tensor:
         """See :class:`_FungElasticity`."""
-        return torch.expm1((alpha * invariant).clamp_max(300.0))  # beyond, the law holds the bubble still anyway
+        exponent = alpha * invariant
+        return torch.expm1(torch.where(exponent.real > 300.0, 300.0, exponent))  # stiffer than any bubble all the same
 
 
 def _elastic_slopes(slope: Tensor, bend: Tensor, radius: Tensor, velocity: Tensor) -> StressSlopes:

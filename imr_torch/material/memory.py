@@ -34,6 +34,7 @@ class MaxwellBranch:
     names: ClassVar[tuple[str, ...]] = ("mu", "tau", "retardation")
     switch: ClassVar[str] = "tau"
     states: ClassVar[int] = 1
+    analytic: ClassVar[bool] = True
 
     def __call__(
         self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor
@@ -73,6 +74,7 @@ class _StandardSolid:
     names: ClassVar[tuple[str, ...]]
     switch: ClassVar[str]
     states: ClassVar[int] = 1
+    analytic: ClassVar[bool] = True
 
     def elastic(self, inverse: Tensor, theta: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """``S_e``, ``dS_e/d ln l`` and ``f`` at ``1/l``."""
@@ -154,6 +156,7 @@ class OldroydB:
     names: ClassVar[tuple[str, ...]] = ("mu", "tau_ucm", "retardation")
     switch: ClassVar[str] = "tau_ucm"
     states: ClassVar[int] = 2
+    analytic: ClassVar[bool] = True
 
     def __call__(
         self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor

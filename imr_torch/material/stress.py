@@ -36,7 +36,8 @@ class StressTerm(Protocol):
     """One additive contribution to the stress integral; vanishes when ``switch`` is at its neutral value.
 
     A term may offer a method ``slopes`` of the same arguments that returns its :class:`StressSlopes`; any other term is
-    differentiated automatically, which is as exact and takes longer.
+    differentiated automatically, which is as exact and takes longer. A term that is an analytic function of ``R``, ``U`` and
+    memory (no ``abs``, ``sign``, ``clamp`` or comparison of them) may say ``analytic = True``, which makes that fast.
     """
 
     names: ClassVar[tuple[str, ...]]

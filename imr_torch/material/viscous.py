@@ -54,6 +54,7 @@ class CarreauThinning:
 
     names: ClassVar[tuple[str, ...]] = ("mu", "thinning", "shear_time")
     switch: ClassVar[str] = "thinning"
+    analytic: ClassVar[bool] = True
 
     def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
         """See :class:`imr_torch.material.stress.StressTerm`."""
