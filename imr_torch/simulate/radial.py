@@ -61,24 +61,39 @@ class WallSlopes:
 
 
 @dataclass(frozen=True)
-class Liquid:
-    """A liquid at one pressure, each a ``B`` tensor: enthalpy, specific volume ``w = dh/dp``, ``dw/dp``."""
+class Drive:
+    """What pushes the wall: ``h``, the part of ``dh/dt`` without ``U'``, the factor of ``U'`` in it; each a ``B`` tensor."""
 
     enthalpy: Tensor
+    rate: Tensor
+    inertia: Tensor
+
+
+@dataclass(frozen=True)
+class DriveSlopes:
+    """What a :class:`Drive` changes with: specific volumes ``w = dh/dp`` and ``dw/dp``, at the wall and afar; ``B`` tensors."""
+
     volume: Tensor
-    volume_slope: Tensor
+    bend: Tensor
+    far_volume: Tensor
+    far_bend: Tensor
 
 
 class RadialEquation:
-    """One member of the family; subclasses say what the liquid does."""
+    """One member of the family, in pressure; subclasses change what the liquid does."""
 
     key: ClassVar[str]
     local_rate: ClassVar[bool] = False
     """Whether the rate of enthalpy is weighed by ``f = 1 - M``."""
 
-    def liquid(self, pressure: Tensor) -> Liquid:
-        """The liquid at a pressure; incompressible in the pressure forms."""
-        return Liquid(pressure, torch.ones_like(pressure), torch.zeros_like(pressure))
+    def drive(self, wall: WallState) -> Drive:
+        """Enthalpy between the wall and afar; a difference of pressures in the pressure forms."""
+        return Drive(wall.pressure - wall.far, wall.rate - wall.far_rate, wall.inertia)
+
+    def drive_slopes(self, wall: WallState) -> DriveSlopes:
+        """Derivatives of :meth:`drive` in the pressures."""
+        one, zero = torch.ones_like(wall.pressure), torch.zeros_like(wall.pressure)
+        return DriveSlopes(one, zero, one, zero)
 
     def slowness(self, pressure: Tensor, slowness: Tensor) -> tuple[Tensor, Tensor]:
         """``1/c`` at the wall and its derivative in ``p_w``, from ``1/c`` of the undisturbed liquid."""
@@ -86,23 +101,17 @@ class RadialEquation:
 
     def acceleration(self, wall: WallState) -> Tensor:
         """``U'``, a ``B`` tensor."""
-        force, inertia = self._balance(wall)
+        force, inertia = self._balance(wall, self.drive(wall), self.slowness(wall.pressure, wall.slowness)[0])
         return force / inertia
 
-    def _balance(self, wall: WallState) -> tuple[Tensor, Tensor]:
+    def _balance(self, wall: WallState, drive: Drive, s: Tensor) -> tuple[Tensor, Tensor]:
         """Force and inertia; ``U'`` is their ratio."""
-        near, far = self.liquid(wall.pressure), self.liquid(wall.far)
-        s, _ = self.slowness(wall.pressure, wall.slowness)
         mach, delay = s * wall.velocity, s * wall.radius
+        square = wall.velocity * wall.velocity
         if self.local_rate:
             delay = delay * (1.0 - mach)
-        square = wall.velocity * wall.velocity
-        force = (
-            (1.0 + mach) * (near.enthalpy - far.enthalpy)
-            + delay * (near.volume * wall.rate - far.volume * wall.far_rate)
-            - (1.5 - 0.5 * mach) * square
-        )
-        inertia = (1.0 - mach) * wall.radius - delay * near.volume * wall.inertia
+        force = (1.0 + mach) * drive.enthalpy + delay * drive.rate - (1.5 - 0.5 * mach) * square
+        inertia = (1.0 - mach) * wall.radius - delay * drive.inertia
         if wall.image is not None:
             pull = wall.image * wall.radius * (1.0 + mach)
             force, inertia = force - 2.0 * pull * square, inertia + pull * wall.radius
@@ -110,29 +119,25 @@ class RadialEquation:
 
     def slopes(self, wall: WallState) -> tuple[Tensor, WallSlopes]:
         """``U'`` and its partial derivatives."""
-        force, inertia = self._balance(wall)
+        drive, liquid = self.drive(wall), self.drive_slopes(wall)
+        s, s_p = self.slowness(wall.pressure, wall.slowness)
+        force, inertia = self._balance(wall, drive, s)
         rate = force / inertia
         radius, velocity = wall.radius, wall.velocity
-        near, far = self.liquid(wall.pressure), self.liquid(wall.far)
-        s, s_p = self.slowness(wall.pressure, wall.slowness)
-        mach = s * velocity
+        mach, square = s * velocity, velocity * velocity
         f, f_u, f_p = (1.0 - mach, -s, -s_p * velocity) if self.local_rate else (1.0, 0.0, 0.0)
-        enthalpy = near.enthalpy - far.enthalpy
-        push = near.volume * wall.rate - far.volume * wall.far_rate
-        drag = near.volume * wall.inertia
         delay, delay_p = s * radius * f, radius * (s_p * f + s * f_p)
-        square = velocity * velocity
-        force_r = s * f * push
-        force_u = s * enthalpy + s * radius * f_u * push - (3.0 - 1.5 * mach) * velocity
+        force_r = s * f * drive.rate
+        force_u = s * drive.enthalpy + s * radius * f_u * drive.rate - (3.0 - 1.5 * mach) * velocity
         force_p = (
-            (1.0 + mach) * near.volume
-            + s_p * velocity * (enthalpy + 0.5 * square)
-            + delay_p * push
-            + delay * near.volume_slope * wall.rate
+            (1.0 + mach) * liquid.volume
+            + s_p * velocity * (drive.enthalpy + 0.5 * square)
+            + delay_p * drive.rate
+            + delay * liquid.bend * wall.rate
         )
-        inertia_r = 1.0 - mach - s * f * drag
-        inertia_u = -s * radius * (1.0 + f_u * drag)
-        inertia_p = -s_p * velocity * radius - delay_p * drag - delay * near.volume_slope * wall.inertia
+        inertia_r = 1.0 - mach - s * f * drive.inertia
+        inertia_u = -s * radius * (1.0 + f_u * drive.inertia)
+        inertia_p = -s_p * velocity * radius - delay_p * drive.inertia - delay * liquid.bend * wall.inertia
         if wall.image is not None:
             pull = wall.image * (1.0 + mach)
             force_r = force_r - 2.0 * pull * square
@@ -145,10 +150,10 @@ class RadialEquation:
             radius=(force_r - rate * inertia_r) / inertia,
             velocity=(force_u - rate * inertia_u) / inertia,
             pressure=(force_p - rate * inertia_p) / inertia,
-            rate=delay * near.volume / inertia,
-            inertia=rate * delay * near.volume / inertia,
-            far=-((1.0 + mach) * far.volume + delay * far.volume_slope * wall.far_rate) / inertia,
-            far_rate=-delay * far.volume / inertia,
+            rate=delay * liquid.volume / inertia,
+            inertia=rate * delay * liquid.volume / inertia,
+            far=-((1.0 + mach) * liquid.far_volume + delay * liquid.far_bend * wall.far_rate) / inertia,
+            far_rate=-delay * liquid.far_volume / inertia,
         )
 
 
@@ -194,14 +199,32 @@ class KellerMiksisEnthalpy(RadialEquation):
         """``(p + B)/(1 + B)``."""
         return (pressure + self.stiffness) / (1.0 + self.stiffness)
 
-    def liquid(self, pressure: Tensor) -> Liquid:
+    def _volume(self, pressure: Tensor) -> Tensor:
+        """``w = dh/dp``, 1 at ``p_inf``."""
+        return self._compression(pressure) ** (-1.0 / self.exponent)
+
+    def _enthalpy(self, pressure: Tensor) -> Tensor:
+        """``h`` above that at ``p_inf``; ``expm1`` keeps the difference of two nearly equal enthalpies exact."""
+        power = 1.0 - 1.0 / self.exponent
+        return (1.0 + self.stiffness) / power * torch.expm1(power * torch.log(self._compression(pressure)))
+
+    def drive(self, wall: WallState) -> Drive:
         """See :class:`RadialEquation`."""
-        n, scale = self.exponent, 1.0 + self.stiffness
-        q = self._compression(pressure)
-        volume = q ** (-1.0 / n)
-        # expm1 keeps the difference of two nearly equal enthalpies exact
-        enthalpy = scale * n / (n - 1.0) * torch.expm1((1.0 - 1.0 / n) * torch.log(q))
-        return Liquid(enthalpy, volume, -volume / (n * scale * q))
+        volume = self._volume(wall.pressure)
+        return Drive(
+            self._enthalpy(wall.pressure) - self._enthalpy(wall.far),
+            volume * wall.rate - self._volume(wall.far) * wall.far_rate,
+            volume * wall.inertia,
+        )
+
+    def drive_slopes(self, wall: WallState) -> DriveSlopes:
+        """See :class:`RadialEquation`."""
+        near, far = self._volume(wall.pressure), self._volume(wall.far)
+        near_bend, far_bend = (
+            -volume / (self.exponent * (pressure + self.stiffness))
+            for volume, pressure in ((near, wall.pressure), (far, wall.far))
+        )
+        return DriveSlopes(near, near_bend, far, far_bend)
 
 
 @dataclass(frozen=True)

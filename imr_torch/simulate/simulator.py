@@ -26,6 +26,7 @@ class Status(IntEnum):
     NON_FINITE = 2
     RUNAWAY = 3
     STEP_UNDERFLOW = 4
+    UNBOUNDED_ENERGY = 6
 
     @property
     def advice(self) -> str:
@@ -40,6 +41,10 @@ _ADVICE = {
     Status.RUNAWAY: "The radius grew beyond three times its maximum, which no free oscillation does; step more finely.",
     Status.STEP_UNDERFLOW: (
         "No step was small enough to meet the tolerance; check parameters and design, or raise the tolerance."
+    ),
+    Status.UNBOUNDED_ENERGY: (
+        "The strain energy has no lower bound at negative alpha, and the gel gave way at collapse; use alpha >= 0 or a milder "
+        "design."
     ),
 }
 
@@ -176,5 +181,12 @@ def solve_batch(
     parts = [solve(*block) for block in blocks]
     fields = [torch.cat(columns) for columns in zip(*parts, strict=True)]
     radius, velocity, pressure = (x.reshape(*shape, -1) for x in fields[:3])
-    status, steps = (x.reshape(shape) for x in fields[3:])
+    status, steps = (x.reshape(shape) for x in (_explain(fields[3], parameters), fields[4]))
     return Solution(times.reshape(*shape, -1), radius, velocity, pressure, status, steps)
+
+
+def _explain(status: Tensor, parameters: Tensor) -> Tensor:
+    """Failures that the gel is to blame for: with ``alpha < 0`` its stress at collapse pulls inwards as ``l^-8``."""
+    modulus, stiffening = parameters[:, PARAMETERS.index(["G", "alpha"])].unbind(1)
+    gave_way = (status != Status.DONE) & (modulus > 0.0) & (stiffening < 0.0)
+    return torch.where(gave_way, int(Status.UNBOUNDED_ENERGY), status)
