@@ -69,7 +69,7 @@ def plain_dopri5(count: int) -> Callable[[], Any]:
     start = torch.stack((one, 0.0 * one, 0.0 * one))
 
     def rate(_: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
-        return rate_of(bubbles, head_of(bubbles, state))
+        return rate_of(bubbles, head_of(bubbles, state), state)
 
     return lambda: odeint(rate, start, TIMES, method="dopri5", rtol=1e-5, atol=1e-7)
 
@@ -81,7 +81,8 @@ def scipy_loop(count: int) -> Callable[[], Any]:
 
     def solve(bubble: Bubbles) -> None:
         def rate(_: float, state: np.ndarray) -> np.ndarray:
-            return rate_of(bubble, head_of(bubble, torch.from_numpy(state)[:, None]))[:, 0].numpy()
+            point = torch.from_numpy(state)[:, None]
+            return rate_of(bubble, head_of(bubble, point), point)[:, 0].numpy()
 
         solve_ivp(rate, (0.0, 4.0), [1.0, 0.0, 0.0], method="LSODA", t_eval=TIMES.numpy(), rtol=1e-6, atol=1e-8)
 

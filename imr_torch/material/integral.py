@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.material.departures import Damage, GradedModulus, PermanentSet, YieldStress
 from imr_torch.material.elastic import (
     ExponentialFung,
     LinearElasticity,
@@ -36,6 +37,10 @@ TERMS: list[AnyTerm] = [
     StandardLinearSolid(),
     StandardNonlinearSolid(),
     OldroydB(),
+    Damage(),
+    YieldStress(),
+    GradedModulus(),
+    PermanentSet(),
 ]
 """Every term a batch may need. Terms that are neutral in the whole batch cost nothing: see :func:`active_terms`."""
 

@@ -199,15 +199,42 @@ def register(material: Material) -> Material:
     return material
 
 
+class Extended(Material):
+    """A registered model with further parameters freed: effects, errors of the measurement, terms of other models.
+
+    Args:
+        base: the registered model.
+        extra: names of parameters that the base leaves neutral.
+    """
+
+    def __init__(self, base: Material, extra: tuple[str, ...]) -> None:
+        self.base, self.extra = base, extra
+        self.key = "+".join((base.key, *extra))
+        self.title = " + ".join((base.title, *extra))
+        self.reference, self.terms, self.known = base.reference, base.terms, base.known
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See :class:`Material`."""
+        used = {*self.base.names, *self.extra}
+        return tuple(name for name in PARAMETERS.names if name in used)
+
+
 def material(key: str) -> Material:
-    """The model of a key.
+    """The model of a key: a registered one, or one with further parameters freed, as in ``"nhkv+sound_speed"``.
 
     Raises:
-        InputDataError: for an unknown key; the message lists the known ones.
+        InputDataError: for an unknown key or parameter; the message lists the known ones.
     """
-    if key not in MATERIALS:
-        raise InputDataError(f"Unknown model {key!r}; known are {', '.join(MATERIALS)}.")
-    return MATERIALS[key]
+    base, *extra = key.split("+")
+    if base not in MATERIALS:
+        raise InputDataError(f"Unknown model {base!r}; known are {', '.join(MATERIALS)}.")
+    if not extra:
+        return MATERIALS[base]
+    double = [name for name in extra if PARAMETERS[name].name in MATERIALS[base].names or extra.count(name) > 1]
+    if double:
+        raise InputDataError(f"Model {key!r} names {double[0]!r} twice, or {base!r} has it already.")
+    return Extended(MATERIALS[base], tuple(extra))
 
 
 def materials(keys: Sequence[str]) -> tuple[Material, ...]:

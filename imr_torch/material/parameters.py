@@ -167,6 +167,13 @@ RELAXATION_SLS = _relaxation_time("tau_sls", "relaxation time (standard linear s
 RELAXATION_SNS = _relaxation_time("tau_sns", "relaxation time (standard nonlinear solid)")
 RELAXATION_UCM = _relaxation_time("tau_ucm", "relaxation time (upper-convected branch)")
 
+DAMAGE = PARAMETERS.register(Parameter("damage", "softening per unit of accumulated strain", "1", "none", 0.0, 10.0, 0.0))
+YIELD_STRESS = PARAMETERS.register(
+    Parameter("yield_stress", "yield stress", "Pa", "pressure", 0.0, 1e6, 0.0, display_scale=1e-3, display_unit="kPa")
+)
+GRADED_MODULUS = PARAMETERS.register(Parameter("graded_modulus", "excess modulus at the wall", "1", "none", -1.0, 10.0, 0.0))
+PERMANENT_SET = PARAMETERS.register(Parameter("permanent_set", "part of the stretch that stays", "1", "none", -0.5, 0.5, 0.0))
+
 
 def dimensionless(parameters: Tensor, max_radius: Tensor, surroundings: Surroundings) -> dict[str, Tensor]:
     """The parameters of each bubble in dimensionless form.

@@ -83,7 +83,7 @@ class Bubbles:
 
     Rows of ``numbers``: ``rest_radius``; ``tension`` (``1/We``); ``slowness`` (``1/c``); ``far`` (pressure afar);
     ``image`` (strength of a mirror bubble); ``velocity`` (at time zero); ``seconds`` (a unit of time); ``gas`` (pressure of
-    polytropic gas at ``R = 1``) and ``vapour`` (constant, beside it); ``start`` (pressure of the transporting mixture at
+    polytropic gas at ``R = 1``), its ``exponent``, and ``vapour`` (constant, beside it); ``start`` (pressure of the transporting mixture at
     ``R = 1``) and ``constant_vapour`` (beside that); ``saturation`` (prefactor of the saturation pressure); ``chi``, and
     ``chi_gas`` in the bubble; ``fom``; ``foh``; ``heating``; then all parameters as ``theta.NAME``.
     """
@@ -118,7 +118,7 @@ class Bubbles:
             "image": theta["wall"],
             "velocity": theta["residual_velocity"] + conditions.initial_velocity / outer.velocity_scale,
             "seconds": outer.time_scale(size),
-            **_contents(weber, rest, theta["vapour_pressure"], conditions),
+            **_contents(weber, rest, theta, conditions),
             **_transport(size, theta, conditions),
         }
         names = (*numbers, *(f"theta.{name}" for name in theta))
@@ -153,29 +153,57 @@ class Bubbles:
         """Memory states at time zero, ``K x B``."""
         return memory_start(self.terms, self["rest_radius"], self.theta)
 
+    def _acts(self, *names: str) -> bool:
+        return any(bool((self.theta[name] != 0.0).any()) for name in names)
+
+    @cached_property
+    def driven(self) -> bool:
+        """Whether the pressure afar changes for any member."""
+        return self.conditions.driving is not None or self._acts("sound_field", "pulse")
+
+    @cached_property
+    def leaking(self) -> bool:
+        """Whether any member loses gas."""
+        return self._acts("gas_loss")
+
+    @cached_property
+    def trapping(self) -> bool:
+        """Whether any member's vapour lags behind its saturation."""
+        return self._acts("condensation")
+
     @cached_property
     def mirrored(self) -> bool:
         """Whether any member has a mirror bubble."""
-        return bool((self["image"] != 0.0).any())
+        return self._acts("wall")
 
 
-def _contents(weber: Tensor, rest: Tensor, excess: Tensor, conditions: Conditions) -> dict[str, Tensor]:
-    """Pressures inside at the maximum radius; ``excess`` is what the vapour pressure has beyond saturation."""
+def _contents(weber: Tensor, rest: Tensor, theta: dict[str, Tensor], conditions: Conditions) -> dict[str, Tensor]:
+    """Pressures inside at the maximum radius, and how the polytropic gas is compressed."""
     gas, kind = conditions.gas, conditions.mixture.vapour
+    excess = theta["vapour_pressure"]  # beyond saturation
     saturated = conditions.saturation + excess
     nothing = torch.zeros_like(weber)
     at_rest = 1.0 + 1.0 / (weber * rest)
     beside = saturated if gas.vapour else nothing
-    power = 3.0 if gas.reference == "maximum" else 3.0 * gas.exponent
+    exponent = _exponent(gas.exponent, conditions.mixture.heat_ratio, theta["heat_exchange"])
     inside = nothing if kind == "absent" else saturated
     prefactor = SATURATION_PREFACTOR / conditions.surroundings.far_field_pressure
     return {
-        "gas": (at_rest - beside) * rest**power,
+        "gas": (at_rest - beside) * rest ** (3.0 if gas.reference == "maximum" else 3.0 * exponent),
+        "exponent": exponent,
         "vapour": beside,
         "start": (at_rest - inside) * rest**3 + (nothing if kind == "constant" else inside),
         "constant_vapour": inside if kind == "constant" else nothing,
         "saturation": prefactor * (1.0 + excess / conditions.saturation) if kind == "transported" else nothing,
     }
+
+
+def _exponent(base: float, adiabatic: float, exchange: Tensor) -> Tensor:
+    """Polytropic exponent between 1 (isothermal) and the adiabatic one, as the log factor of heat exchange moves it."""
+    share = (base - 1.0) / (adiabatic - 1.0)
+    less = torch.exp(-exchange)
+    moved = 1.0 + (adiabatic - 1.0) * share * less / (1.0 - share + share * less)
+    return torch.where((exchange == 0.0) | (share > 1.0), base, moved)
 
 
 def _transport(size: Tensor, theta: dict[str, Tensor], conditions: Conditions) -> dict[str, Tensor]:

@@ -44,9 +44,15 @@ class PolytropicGas:
         if self.reference not in ("maximum", "rest"):
             raise InputDataError(f"PolytropicGas.reference is {self.reference!r}; expected 'maximum' or 'rest'.")
 
-    def stiffness(self, pressure: Tensor, vapour_pressure: Tensor) -> Tensor:
-        """``-dp_b/d ln R`` at a pressure ``p_b`` of the contents: vapour at constant pressure has none."""
-        return 3.0 * self.exponent * (pressure - vapour_pressure)
+    def stiffness(self, exponent: Tensor, pressure: Tensor, vapour_pressure: Tensor) -> Tensor:
+        """``-dp_b/d ln R`` of gas of a polytropic exponent: vapour at constant pressure has none.
+
+        Args:
+            exponent: ``B`` tensor, of each member (an effect may change it).
+            pressure: ``... x B`` tensor, of all contents.
+            vapour_pressure: ``... x B`` tensor.
+        """
+        return 3.0 * exponent * (pressure - vapour_pressure)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import interpolate, time_per_tick
 from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.simulator import Solution, Status, solve_batch
-from imr_torch.simulate.wall import Head, acceleration, gel_memory_rate
+from imr_torch.simulate.wall import Head, acceleration, gel_memory_rate, leak
 
 _BLOCK = 32  # steps between two looks at who is done
 _BATCH = 2000  # members solved together: larger batches leave the processor's cache
@@ -64,9 +64,7 @@ class PolytropicSimulator:
 def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping) -> tuple[Tensor, ...]:
     """Integrate until every member is past its last time; radius, velocity, pressure, status, steps."""
     count, last = times.shape[0], times[:, -1]
-    zero = torch.zeros_like(last)
-    start = torch.stack((torch.ones_like(last), bubbles["velocity"] + zero, zero))
-    state = torch.cat((start, bubbles.memory_start()))  # R, U, t, memory
+    state = start_of(bubbles)
     history = [state[None]]
     status = torch.full((count,), int(Status.TOO_MANY_STEPS), device=times.device)
     steps = torch.zeros_like(status)
@@ -86,19 +84,45 @@ def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping) -> tuple[Tensor,
     return *_read(bubbles, torch.cat(history), times, status), status, steps
 
 
+def start_of(bubbles: Bubbles) -> Tensor:
+    """The state (R, U, t, memory, and gas left where any member loses some) at time zero, ``(3 + K) x B`` or a row more."""
+    velocity = bubbles["velocity"]
+    one = torch.ones_like(velocity)
+    rows = [torch.stack((one, velocity, 0.0 * one)), bubbles.memory_start()]
+    return torch.cat((*rows, one[None]) if bubbles.leaking else rows)
+
+
 def head_of(bubbles: Bubbles, state: Tensor) -> Head:
-    """What acts on the wall at a state (R, U, t, memory), ``(3 + K) x ...``: a polytropic gas; shapes broadcast with ``B``."""
+    """What acts on the wall at a state as in :func:`start_of`: a polytropic gas; shapes broadcast with ``B``."""
     gas = bubbles.conditions.gas
     radius, velocity, vapour = state[0], state[1], bubbles["vapour"]
-    pressure = bubbles["gas"] * radius ** (-3.0 * gas.exponent) + vapour
-    return Head(state[2], radius, velocity, pressure, -gas.stiffness(pressure, vapour) * velocity / radius, state[3:])
+    exponent = bubbles["exponent"]
+    compression = radius ** (-3.0 * exponent)
+    inside = bubbles["gas"] * compression
+    strain, extra = velocity / radius, None
+    if bubbles.leaking:
+        inside = inside * state[3 + bubbles.states]
+        extra = -inside * leak(bubbles, radius, velocity)[0]
+    if bubbles.trapping:
+        trapped = bubbles.theta["condensation"]
+        vapour = vapour * compression**trapped
+        lag = -3.0 * exponent * trapped * vapour * strain
+        extra = lag if extra is None else extra + lag
+    pressure = inside + vapour
+    rate = -gas.stiffness(exponent, pressure, vapour) * strain
+    memory = state[3 : 3 + bubbles.states]
+    return Head(state[2], radius, velocity, pressure, rate if extra is None else rate + extra, memory)
 
 
-def rate_of(bubbles: Bubbles, head: Head) -> Tensor:
-    """Time derivative of the state (R, U, t, memory), ``(3 + K) x B``."""
+def rate_of(bubbles: Bubbles, head: Head, state: Tensor) -> Tensor:
+    """Time derivative of a state as in :func:`start_of`."""
     force = acceleration(bubbles, head)
-    motion = torch.stack((head.velocity, force, torch.ones_like(force)))
-    return torch.cat((motion, gel_memory_rate(bubbles, head))) if bubbles.states else motion
+    rows = [torch.stack((head.velocity, force, torch.ones_like(force)))]
+    if bubbles.states:
+        rows.append(gel_memory_rate(bubbles, head))
+    if bubbles.leaking:
+        rows.append(-state[-1:] * leak(bubbles, head.radius, head.velocity)[0])
+    return torch.cat(rows) if len(rows) > 1 else rows[0]
 
 
 def _field(bubbles: Bubbles):
@@ -111,7 +135,7 @@ def _field(bubbles: Bubbles):
 
     def rate(_: Tensor, state: Tensor) -> Tensor:
         head = head_of(bubbles, state)
-        motion = rate_of(bubbles, head)
+        motion = rate_of(bubbles, head, state)
         pressure = head.pressure + elastic
         return motion * time_per_tick(head.radius, head.velocity, motion[1], pressure, stiffness, relaxation)
 
@@ -136,9 +160,18 @@ def _read(bubbles: Bubbles, history: Tensor, times: Tensor, status: Tensor) -> t
     nodes = torch.where(good, nodes, reached).cummax(0).values
     state = torch.where(good, history.movedim(1, 0), 0.0)
     state = torch.cat((torch.where(good, radius, 1.0)[None], state[1:2], nodes[None], state[3:]))
-    force = acceleration(bubbles, head_of(bubbles, state))
-    at, speed = interpolate(nodes.T.contiguous(), state[0].T, state[1].T, force.T, times)
+    head = head_of(bubbles, state)
+    at, speed = interpolate(nodes.T.contiguous(), state[0].T, state[1].T, acceleration(bubbles, head).T, times)
     known = (status == Status.DONE)[:, None] | (times < reached[:, None])
     nan = torch.full_like(times, torch.nan)
-    pressure = head_of(bubbles, torch.stack((at.T, speed.T, times.T))).pressure.T
+    rest = [_linear(nodes.T.contiguous(), row.T, times).T for row in state[3:].unbind(0)]
+    pressure = head_of(bubbles, torch.stack((at.T, speed.T, times.T, *rest))).pressure.T
     return torch.where(known, at, nan), torch.where(known, speed, nan), torch.where(known, pressure, nan)
+
+
+def _linear(nodes: Tensor, values: Tensor, times: Tensor) -> Tensor:
+    """Values at times by linear interpolation between nodes: ``B x n``, ``B x n`` and ``B x n_t`` to ``B x n_t``."""
+    right = torch.searchsorted(nodes.detach(), times.contiguous()).clamp(1, nodes.shape[1] - 1)
+    t0, t1, v0, v1 = (x.gather(1, i) for x in (nodes, values) for i in (right - 1, right))
+    share = (times - t0) / (t1 - t0).clamp_min(torch.finfo(times.dtype).tiny)
+    return v0 + share * (v1 - v0)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.grids import Grid
-from imr_torch.simulate.wall import Head, acceleration, gel_memory_rate
+from imr_torch.simulate.wall import Head, acceleration, gel_memory_rate, leak
 
 HEAD = 4
 """Rows of the state before the fields: R, U, ln P, tau_w."""
@@ -115,6 +115,10 @@ class Equations:
         c = self.bubbles.constants
         ratio = c.vapour_constant / c.air_constant
         saturation = self.bubbles["saturation"] * torch.exp(-c.evaporation / temperature)
+        following = torch.ones_like(pressure)  # 1 - d ln p_sat/d ln P
+        if self.bubbles.trapping:  # vapour that cannot condense in time is compressed with the rest
+            trapped = self.bubbles.theta["condensation"]
+            saturation, following = saturation * (pressure / self.bubbles["start"]) ** trapped, 1.0 - trapped
         scale = (ratio * pressure + (1.0 - ratio) * saturation).reciprocal()
         vapour = saturation * scale
         slope = ratio * vapour * scale
@@ -125,7 +129,7 @@ class Equations:
             conductivity=conductivity,
             vapour=vapour,
             vapour_heat=slope * pressure * c.evaporation / (temperature**2 * conductivity),
-            vapour_pressure=-slope,
+            vapour_pressure=-slope * following,
             mixture=mixture,
             flux_factor=self.bubbles["fom"] * pressure / (mixture * (1.0 - vapour)),
             capacity=mixture * (c.heat_ratio / (c.heat_ratio - 1.0)) if c.gas_capacity else ones,
@@ -150,6 +154,8 @@ class Equations:
         k, chi = c.heat_ratio, self.bubbles["chi_gas"]
         source = (k - 1.0) * chi * slopes[0, 0] + k * c.vapour_constant * wall.flux_factor * slopes[0, 1]
         rate = 3.0 / radius * (source / radius - k * pressure * velocity)
+        if self.bubbles.leaking:
+            rate = rate - pressure * leak(self.bubbles, radius, velocity)[0]
         contents = pressure + self.bubbles["constant_vapour"]
         head = Head(radius if time is None else time, radius, velocity, contents, rate, state[HEAD + 2 * n + m :])
         return Fields(

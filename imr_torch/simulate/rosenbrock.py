@@ -100,7 +100,7 @@ def rosenbrock_step(
         time: ``B`` tensor, of each member before the step; matters where the far field is driven.
         tableau: the method.
     """
-    driven = equations.bubbles.conditions.driving is not None and time is not None
+    driven = equations.bubbles.driven and time is not None
     increments_of_time, moments = tableau.ticks
     fields = equations.fields(state, time)
     acceleration, jacobian = linearise(equations, fields)

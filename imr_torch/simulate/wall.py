@@ -14,6 +14,8 @@ from imr_torch.material import Stress, memory_rate, response_slopes, stress_inte
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.radial import WallState
 
+_SMOOTH = 0.02  # velocity below which |U| is rounded off
+
 
 @dataclass(frozen=True)
 class Head:
@@ -66,6 +68,16 @@ def acceleration(bubbles: Bubbles, head: Head) -> Tensor:
 def gel_memory_rate(bubbles: Bubbles, head: Head) -> Tensor:
     """``d memory/dt``, ``K x B``."""
     return memory_rate(bubbles.terms, head.radius, head.velocity, bubbles["rest_radius"], bubbles.theta, head.memory)
+
+
+def leak(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Rate at which gas is lost while ``R < R_inf``, ``-n'/n = eta |U|/R (1 - R/R_inf)``, and its derivatives in R and U."""
+    rate, rest = bubbles.theta["gas_loss"], bubbles["rest_radius"]
+    root = torch.sqrt(velocity * velocity + _SMOOTH**2)
+    depth = (1.0 - radius / rest).clamp_min(0.0)
+    scale = rate * (root - _SMOOTH) / radius
+    by_radius = -scale * (depth / radius + (depth > 0.0) / rest)
+    return scale * depth, by_radius, rate * velocity / root / radius * depth
 
 
 def acceleration_slopes(bubbles: Bubbles, head: Head) -> tuple[Tensor, HeadSlopes]:
@@ -126,10 +138,23 @@ def _wall_state(bubbles: Bubbles, head: Head, stress: Stress) -> tuple[WallState
 def _far_field(bubbles: Bubbles, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Pressure afar and its first two time derivatives, dimensionless."""
     still = torch.zeros_like(bubbles["far"])
-    driving = bubbles.conditions.driving
-    if driving is None:
+    if not bubbles.driven:
         return bubbles["far"], still, still
-    seconds = bubbles["seconds"]
-    value, rate, bend = driving(time * seconds)
-    pressure = 1.0 / bubbles.conditions.surroundings.far_field_pressure
-    return bubbles["far"] + value * pressure, rate * seconds * pressure, bend * seconds**2 * pressure
+    value, rate, bend = bubbles["far"], still, still
+    driving = bubbles.conditions.driving
+    if driving is not None:
+        seconds, scale = bubbles["seconds"], 1.0 / bubbles.conditions.surroundings.far_field_pressure
+        given = driving(time * seconds)
+        value, rate, bend = value + given[0] * scale, rate + given[1] * seconds * scale, bend + given[2] * seconds**2 * scale
+    theta = bubbles.theta
+    frequency = torch.exp(theta["sound_frequency"])
+    angle = frequency * time + theta["sound_phase"]
+    swing = theta["sound_field"] * torch.sin(angle)
+    width = torch.exp(theta["pulse_width"])
+    x = (time - theta["pulse_time"]) / width
+    pulse = theta["pulse"] * torch.exp(-x * x)
+    return (
+        value + swing + pulse,
+        rate + theta["sound_field"] * frequency * torch.cos(angle) - 2.0 * x / width * pulse,
+        bend - frequency**2 * swing + (4.0 * x * x - 2.0) / width**2 * pulse,
+    )

@@ -49,9 +49,9 @@ ACCURACY = Accuracy(1e-5, Resolution(28, 32), max_steps=100000)
 class CompressedVapour(PolytropicGas):
     """Its pressure rises as ``-3 kappa p U/R`` with the vapour counted in ``p``."""
 
-    def stiffness(self, pressure: Tensor, vapour_pressure: Tensor) -> Tensor:
+    def stiffness(self, exponent: Tensor, pressure: Tensor, vapour_pressure: Tensor) -> Tensor:
         """See :class:`imr_torch.simulate.PolytropicGas`."""
-        return 3.0 * self.exponent * pressure
+        return 3.0 * exponent * pressure
 
 
 class WholeRateGilmore(Gilmore):

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from imr_torch.material import PARAMETERS, TERMS, MemoryTerm, automatic_slopes, memory_rate, response_slopes
+from imr_torch.material import PARAMETERS, TERMS, MemoryTerm, automatic_slopes, memory_rate, memory_states, response_slopes
 
 THETA = {name: torch.tensor([0.3, 0.7], dtype=torch.float64) for name in PARAMETERS.names}
 POINT = (
@@ -53,9 +53,9 @@ def test_the_rate_of_a_term_with_memory_is_the_chain_rule_through_its_memory(ter
 
 
 def test_slopes_in_memory_match_finite_differences_with_several_terms_at_once():
-    memory = torch.tensor([[0.4, -2.0], [1.1, 0.3], [0.2, 0.6], [-0.3, 0.9], [0.8, -0.1]], dtype=torch.float64)
+    memory = torch.tensor([[0.4, -2.0], [1.1, 0.3], [0.2, 0.6], [-0.3, 0.9], [0.8, -0.1], [0.3, 0.7]], dtype=torch.float64)
     slopes = response_slopes(TERMS, *POINT, THETA, memory)
-    assert len(slopes.memory) == 5
+    assert len(slopes.memory) == len(memory) == memory_states(TERMS)
     for j, part in enumerate(slopes.memory):
         change = torch.zeros_like(memory)
         change[j] = 1e-6

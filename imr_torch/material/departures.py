@@ -1,0 +1,126 @@
+"""Stress terms of gels that are not what a model says: damaged, plastic, graded, or set.
+
+Each is a correction to the elastic stress beside it with one number that does nothing at zero, so that it can be put on any
+model and inferred with it. They are closures, chosen to be simple and to act where the effect does, not laws of their own.
+"""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from imr_torch.material.elastic import NeoHookeanElasticity, StrainStiffening
+from imr_torch.material.stress import Stress
+
+_SMOOTH = 0.02  # velocity below which |U| and sign(U) are rounded off
+_SLOWEST = 0.1  # shear rate below which a yield stress is not felt
+_NODES, _WEIGHTS = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(24))
+
+
+def _elastic(radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
+    """The elastic stress of the models that may be damaged or set."""
+    gel = (radius, velocity, rest_radius, theta)
+    return NeoHookeanElasticity()(*gel) + StrainStiffening()(*gel)
+
+
+class Damage:
+    """Softening with accumulated strain: ``S_e (1 - D)``, ``D' = k (1 - D) |U|/R``. The state is ``D``."""
+
+    names: ClassVar[tuple[str, ...]] = ("G", "alpha", "damage")
+    switch: ClassVar[str] = "damage"
+    states: ClassVar[int] = 1
+    analytic: ClassVar[bool] = True
+
+    def __call__(
+        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor
+    ) -> Stress:
+        """See :class:`imr_torch.material.stress.MemoryTerm`."""
+        whole = _elastic(radius, velocity, rest_radius, theta)
+        growth = self.memory_rate(radius, velocity, rest_radius, theta, memory)[0]
+        return Stress(-memory[0] * whole.value, -growth * whole.value - memory[0] * whole.rate, whole.acceleration)
+
+    def start(self, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Tensor:
+        """Whole: see :class:`imr_torch.material.stress.MemoryTerm`."""
+        return torch.zeros_like(rest_radius)[None]
+
+    def memory_rate(
+        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor
+    ) -> Tensor:
+        """See :class:`imr_torch.material.stress.MemoryTerm`."""
+        speed = torch.sqrt(velocity * velocity + _SMOOTH**2) - _SMOOTH
+        return theta["damage"] * (1.0 - memory) * speed / radius
+
+    def fastest(self, theta: Mapping[str, Tensor]) -> Tensor:
+        """Damage grows no faster than the bubble moves."""
+        return torch.zeros_like(theta["damage"])
+
+
+class YieldStress:
+    """A stress to overcome: ``S = -2 tau_y sign(U) ln(r_y/R)``, with ``r_y`` where the shear rate falls to a slow one.
+
+    The shear rate falls as ``r^-3``, so ``ln(r_y/R)`` is a third of the log of the shear rate at the wall over the slow one.
+    """
+
+    names: ClassVar[tuple[str, ...]] = ("yield_stress",)
+    switch: ClassVar[str] = "yield_stress"
+
+    def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
+        """See :class:`imr_torch.material.stress.StressTerm`."""
+        strain = velocity / radius
+        ratio = strain / _SLOWEST
+        square = 1.0 + ratio * ratio
+        rounded = 1.0 + (_SMOOTH / _SLOWEST) ** -2 * ratio * ratio
+        direction = (_SMOOTH / _SLOWEST) ** -1 * ratio * torch.rsqrt(rounded)
+        extent = torch.log(square) / 6.0
+        scale = -2.0 * theta["yield_stress"]
+        by_strain = direction * ratio / (3.0 * square * _SLOWEST) + extent / (_SMOOTH * rounded**1.5)
+        return Stress(scale * direction * extent, -scale * by_strain * strain * strain, scale * by_strain / radius)
+
+
+class GradedModulus:
+    """A modulus ``G (1 + g (R_inf/r_0)^3)`` of the gel at rest: harder (or softer) towards the bubble.
+
+    With the hoop stretch ``b``, ``(R_inf/r_0)^3 = (b^3 - 1)/(l^3 - 1)``; by Gauss-Legendre quadrature over ``ln b``.
+    """
+
+    names: ClassVar[tuple[str, ...]] = ("G", "graded_modulus")
+    switch: ClassVar[str] = "graded_modulus"
+    analytic: ClassVar[bool] = True
+
+    def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
+        """See :class:`imr_torch.material.stress.StressTerm`."""
+        stretch = radius / rest_radius
+        near = (stretch.real - 1.0).abs() < 1e-4
+        stretch = torch.where(near, stretch + 1e-4, stretch)  # 0/0 in the weight: the integral itself vanishes there
+        nodes = 0.5 * (1.0 + _NODES.to(radius)).reshape(-1, *[1] * radius.ndim)
+        weights = 0.5 * _WEIGHTS.to(radius).reshape(nodes.shape)
+        span = torch.log(stretch)
+        b = torch.exp(nodes * span)
+        cube = stretch**3 - 1.0
+        share = (b**3 - 1.0) / cube
+        density = (1.0 / b + b**-4) * weights
+        whole = span * (density * share).sum(0)
+        scale = -2.0 * theta["G"] * theta["graded_modulus"]
+        # d/d ln l: the density at the wall, and the weight of all the rest falling as 1/(l^3 - 1)
+        slope = (1.0 / stretch + stretch**-4) - 3.0 * stretch**3 / cube * whole
+        zero = torch.zeros_like(whole)
+        return Stress(torch.where(near, zero, scale * whole), scale * slope * velocity / radius, zero)
+
+
+class PermanentSet:
+    """Growth has stretched the gel for good: its elastic stress is referred to ``R_inf (1 + s (1/R_inf - 1))``.
+
+    The gas is not: it still rests at ``R_inf``. The set grows with the stretch ``1/R_inf`` at the maximum radius.
+    """
+
+    names: ClassVar[tuple[str, ...]] = ("G", "alpha", "permanent_set")
+    switch: ClassVar[str] = "permanent_set"
+    analytic: ClassVar[bool] = True
+
+    def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
+        """See :class:`imr_torch.material.stress.StressTerm`."""
+        moved = rest_radius + theta["permanent_set"] * (1.0 - rest_radius)
+        after, before = (_elastic(radius, velocity, rest, theta) for rest in (moved, rest_radius))
+        return Stress(after.value - before.value, after.rate - before.rate, after.acceleration)
