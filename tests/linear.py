@@ -60,6 +60,9 @@ class LinearSimulator:
         none = torch.zeros_like(radius)
         return Solution(times.reshape(*shape, -1), radius, none, none, status, torch.ones_like(status))
 
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        return self(parameters, designs, times)
+
 
 def prior(models: tuple[str, ...] = MODELS, *, correlated: bool = False) -> Belief:
     """Unbounded normals; ``correlated`` gives the controls a Gaussian that is not the standard one."""

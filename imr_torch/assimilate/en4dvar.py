@@ -1,8 +1,13 @@
 """Hybrid ensemble 4D-Var: fit the gel to whole R(t) records, several models and experiments in one batched solve.
 
-Gauss-Newton on the joint cost of gel and nuisances, with sensitivities from an ensemble about the current point
+Gauss-Newton on the joint cost of gel and nuisances, with sensitivities from a narrow ensemble about the current point
 (Spratt et al., J. Mech. Phys. Solids 152, 2021; Bocquet & Sakov 2013). All models x starts x members x experiments are
 stacked into one call of the simulator per iteration. Truncation needs no care: the controls are unbounded.
+
+The ensemble advances in lock step with its centre, so that its differences are the solver's own sensitivities. Close to a
+minimum a chain also keeps its *leader*, the point whose solution decides on the steps of all others: the cost is then a
+smooth function, equal to itself from iteration to iteration and between starts, where solves that each decide for
+themselves leave some 1e-4 in R*.
 
 Against the published method the likelihood is that of all repeats and frames, the prior enters once, and a step is
 taken only if it lowers the exact cost; see :mod:`imr_torch.assimilate.fit` for the certificate each fit carries.
@@ -25,9 +30,9 @@ from imr_torch.types import Progress
 
 _DAMPINGS = (0.0, 1.0, 10.0, 100.0)  # tried together, times the current damping
 _STUCK = 1e4  # damping at which nothing lowers the cost any more
-_WIDER = 5.0  # factor on the spread of a stuck ensemble: differences then stand out of the integration error
 _LONGEST_STEP = 8.0  # prior standard deviations
-_SIDE = 0.05  # prior standard deviations by which nuisances are moved for their sensitivity
+_SIDE = 1e-3  # prior standard deviations by which nuisances are moved for their sensitivity
+_NEAR = 1.0  # posterior standard deviations from a minimum at which a chain keeps its leader
 _RESTART = 0.25  # prior standard deviations
 
 
@@ -36,25 +41,25 @@ class EnsembleOptions:
     """How the assimilation searches.
 
     Args:
-        members: ensemble size; even, and more than twice the number of free parameters.
+        members: ensemble size, even; two for each free parameter when not given.
         scouts: prior draws from which the starts are chosen.
         starts: independent searches per model; two or more, so that they can agree.
         iterations: most Gauss-Newton iterations.
-        spread: size of the ensemble in posterior standard deviations; widened where no step lowers the cost any more.
-        gradient: tolerance of the whitened gradient; 5e-3 leaves 1e-5 nats, and less meets the integration error.
+        spread: size of the ensemble in posterior standard deviations.
+        gradient: tolerance of the whitened gradient; 1e-3 leaves 5e-7 nats.
         agreement: tolerance of the cost difference between the two best starts, nats.
     """
 
-    members: int = 16
+    members: int | None = None
     scouts: int = 192
     starts: int = 3
     iterations: int = 60
-    spread: float = 0.1
-    gradient: float = 5e-3
+    spread: float = 1e-3
+    gradient: float = 1e-3
     agreement: float = 0.1
 
     def __post_init__(self) -> None:
-        if self.members < 2 or self.members % 2:
+        if self.members is not None and (self.members < 2 or self.members % 2):
             raise InputDataError(f"EnsembleOptions.members is {self.members}; expected an even number >= 2.")
         if not 2 <= self.starts <= self.scouts:
             raise InputDataError(f"EnsembleOptions needs 2 <= starts <= scouts, got {self.starts} and {self.scouts}.")
@@ -93,9 +98,9 @@ def assimilate(
     """
     options = options or EnsembleOptions()
     largest = max(len(part.names) for part in belief.models)
-    if options.members < 2 * largest + 2:
+    if options.members is not None and options.members < 2 * largest:
         raise InputDataError(
-            f"EnsembleOptions.members is {options.members}: {largest} parameters need at least {2 * largest + 2} members, "
+            f"EnsembleOptions.members is {options.members}: {largest} parameters need at least {2 * largest} members, "
             "or the ensemble is degenerate."
         )
     search = _Search(belief, batch, simulator, options, seed, near)
@@ -137,7 +142,7 @@ class _Search:
         self.columns = torch.nonzero((self.sds > 0.0).any(0))[:, 0]  # nuisances that anything is uncertain about
         self.size = max(len(part.names) for part in belief.models)
         source = generator(child(seed, "assimilate"))
-        self.anomalies = _antithetic(options.members, self.size, source)
+        self.anomalies = options.spread * _antithetic(options.members or 2 * self.size, self.size, source)
         self.model = torch.arange(len(belief.models)).repeat_interleave(options.starts)
         if near is None:
             self._scout(source)
@@ -146,7 +151,8 @@ class _Search:
         chains = len(self.model)
         self.damping = torch.full((chains,), 1e-2, dtype=torch.float64)
         self.chol = 0.5 * torch.eye(self.size, dtype=torch.float64).repeat(chains, 1, 1)
-        self.spread = torch.full((chains,), options.spread, dtype=torch.float64)
+        self.led = torch.zeros(chains, dtype=torch.bool)  # whether a chain keeps its leader
+        self.leader_gel, self.leader_nuisances = self.gel.clone(), self.nuisances.clone()
         self.finished = torch.zeros(chains, dtype=torch.bool)
         self.restarted = [False] * len(belief.models)
         self.source = source
@@ -164,7 +170,7 @@ class _Search:
             draws[i, :, len(part.names) :] = 0.0  # padding: controls that this model does not have
         index = torch.arange(models)[:, None].expand(models, options.scouts)
         still = torch.zeros(models, options.scouts, experiments, 3, dtype=torch.float64)
-        cost = self._cost(index.reshape(-1), draws.reshape(-1, self.size), still.reshape(-1, experiments, 3))[0]
+        cost = self._cost_alone(index.reshape(-1), draws.reshape(-1, self.size), still.reshape(-1, experiments, 3))
         cost = cost.reshape(models, options.scouts)
         chosen = [self._distinct(i, draws[i], cost[i]) for i in range(models)]
         self.gel = torch.cat([draws[i, rows] for i, rows in enumerate(chosen)])
@@ -179,9 +185,9 @@ class _Search:
         pad = torch.nn.functional.pad
         optimum = torch.stack([pad(fit.mean, (0, self.size - len(fit.mean))) for fit in fits])
         self.nuisances = torch.stack([fit.nuisances for fit in fits])
-        failed = torch.isinf(self._cost(self.model, optimum + noise, self.nuisances)[0])
+        failed = torch.isinf(self._cost_alone(self.model, optimum + noise, self.nuisances))
         self.gel = torch.where(failed[:, None], optimum, optimum + noise)
-        self.cost = self._cost(self.model, self.gel, self.nuisances)[0]
+        self.cost = self._cost_alone(self.model, self.gel, self.nuisances)
 
     def _distinct(self, model: int, draws: Tensor, cost: Tensor) -> Tensor:
         """Rows of the best scouts, each at least half a prior standard deviation from the ones before."""
@@ -212,18 +218,28 @@ class _Search:
                 rows[chain] = part.parameters(controls)
         return torch.stack(rows)
 
-    def _predict(self, model: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
-        """Predictions ``C x ... x E x T`` at controls ``C x ... x size`` and ``C x ... x E x 3``."""
+    def _predict(self, model: Tensor, gel: Tensor, nuisances: Tensor, *, bundled: bool = False) -> Tensor:
+        """Predictions ``C x ... x E x T`` at controls ``C x ... x size`` and ``C x ... x E x 3``; the last ``...`` a bundle."""
         shifts = nuisances * self.sds if self.columns.numel() else None
-        prediction = predict(self.simulator, self._parameters(model, gel), self.batch, shifts)
+        prediction = predict(self.simulator, self._parameters(model, gel), self.batch, shifts, bundled=bundled)
         return torch.where(self.batch.mask, prediction, 0.0)
 
-    def _cost(self, model: Tensor, gel: Tensor, nuisances: Tensor) -> tuple[Tensor, Tensor]:
-        """Exact joint cost and prediction; leading shapes as in :meth:`_predict`."""
-        prediction = self._predict(model, gel, nuisances)
+    def _cost(self, gel: Tensor, nuisances: Tensor, prediction: Tensor) -> Tensor:
+        """Exact joint cost; leading shapes as in :meth:`_predict`."""
         likelihood = self.batch.log_likelihood(prediction).sum(-1)
-        prior = 0.5 * gel.square().sum(-1) + 0.5 * nuisances.square().sum((-2, -1))
-        return prior - likelihood, prediction
+        return 0.5 * gel.square().sum(-1) + 0.5 * nuisances.square().sum((-2, -1)) - likelihood
+
+    def _cost_alone(self, model: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
+        """The cost where every point is simulated for itself."""
+        return self._cost(gel, nuisances, self._predict(model, gel, nuisances))
+
+    def _predict_led(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
+        """Predictions ``C x N x E x T`` of ``N`` points of each chain, behind its leader or, where it has none, each alone."""
+        led = self.led[chains, None]
+        gel_leader = torch.where(led[..., None], self.leader_gel[chains, None], gel)
+        nuisance_leader = torch.where(led[..., None, None], self.leader_nuisances[chains, None], nuisances)
+        pairs = torch.stack((gel_leader, gel), 2), torch.stack((nuisance_leader, nuisances), 2)
+        return self._predict(self.model[chains], *pairs, bundled=True)[:, :, 1]
 
     def iterate(self) -> None:
         """One Gauss-Newton iteration of the chains that are not finished."""
@@ -233,25 +249,29 @@ class _Search:
         self.chol[chains] = equations.posterior_chol
         for row, chain in enumerate(chains.tolist()):
             self.equations[chain] = _row(equations, row)
-        self.finished[chains] = self.gradient[chains] < self.options.gradient
+        self.finished[chains] = (self.gradient[chains] < self.options.gradient) & self.led[chains]
         self.iterations[chains] += 1
         moving = torch.nonzero(~self.finished[chains])[:, 0]
         if moving.numel():
             self._step(chains[moving], _row(equations, moving))
+            self._lead(chains[moving])
 
     def _linearise(self, chains: Tensor) -> NormalEquations:
-        """Ensemble sensitivities and gradients at the current points."""
-        gel, nuisances, model = self.gel[chains], self.nuisances[chains], self.model[chains]
-        anomalies = self.spread[chains, None, None] * (self.anomalies @ self.chol[chains].mT)
+        """Costs, ensemble sensitivities and gradients at the current points, each in the bundle of its leader."""
+        gel, nuisances, led = self.gel[chains], self.nuisances[chains], self.led[chains]
+        anomalies = self.anomalies @ self.chol[chains].mT
         sides = torch.zeros(2 * len(self.columns), 1, 3, dtype=torch.float64)
         for i, column in enumerate(self.columns.tolist()):
             sides[2 * i, 0, column], sides[2 * i + 1, 0, column] = _SIDE, -_SIDE
-        controls = torch.cat((gel[:, None], gel[:, None] + anomalies, gel[:, None].expand(-1, len(sides), -1)), dim=1)
-        shifted = nuisances[:, None].expand(-1, 1 + anomalies.shape[1], -1, -1)
-        shifted = torch.cat((shifted, nuisances[:, None] + sides), dim=1)
-        prediction = self._predict(model, controls, shifted)
+        leader = torch.where(led[:, None], self.leader_gel[chains], gel)[:, None]
+        controls = (leader, gel[:, None], gel[:, None] + anomalies, gel[:, None].expand(-1, len(sides), -1))
+        leader = torch.where(led[:, None, None], self.leader_nuisances[chains], nuisances)[:, None]
+        own = nuisances[:, None].expand(-1, 1 + anomalies.shape[1], -1, -1)
+        shifted = (leader, own, nuisances[:, None] + sides)
+        prediction = self._predict(self.model[chains], torch.cat(controls, 1), torch.cat(shifted, 1), bundled=True)[:, 1:]
         self.members += prediction[..., 0].numel()
         self.failures += int((~torch.isfinite(prediction)).any(-1).sum())
+        self.cost[chains] = self._cost(gel, nuisances, prediction[:, 0])
         return self._equations(gel, nuisances, anomalies, prediction)
 
     def _equations(self, gel: Tensor, nuisances: Tensor, anomalies: Tensor, prediction: Tensor) -> NormalEquations:
@@ -285,9 +305,9 @@ class _Search:
         shorter = (_LONGEST_STEP / length.clamp_min(1e-300)).clamp_max(1.0)
         gel = self.gel[chains, None] + shorter * gel_step
         nuisances = self.nuisances[chains, None] + shorter[..., None] * nuisance_step
-        cost, _ = self._cost(self.model[chains], gel, nuisances)
+        cost = self._cost(gel, nuisances, self._predict_led(chains, gel, nuisances))
         best, row = cost.min(dim=1)
-        better = best < self.cost[chains] - 0.5 * self.options.gradient**2  # less than the tolerance leaves is no progress
+        better = best < self.cost[chains] - 0.01 * self.options.gradient**2  # a fiftieth of what the tolerance leaves
         kept, at = chains[better], (torch.nonzero(better)[:, 0], row[better])
         self.gel[kept], self.nuisances[kept], self.cost[kept] = gel[at], nuisances[at], best[better]
         eased = self.damping[kept] * torch.tensor(_DAMPINGS, dtype=torch.float64)[row[better]]
@@ -295,12 +315,30 @@ class _Search:
         self._unstick(chains[~better])
 
     def _unstick(self, chains: Tensor) -> None:
-        """Damp chains that found no better point; then widen their ensembles once; then let them rest."""
+        """Damp chains that found no better point; then give them a leader, which smooths their cost; then let them rest."""
         self.damping[chains] *= 100.0
         stuck = chains[self.damping[chains] > _STUCK]
-        self.finished[stuck] = self.spread[stuck] > self.options.spread
-        self.spread[stuck] = _WIDER * self.options.spread
+        self.finished[stuck] = self.led[stuck]
+        self._follow_oneself(stuck)
         self.damping[stuck] = 1e-2
+
+    def _follow_oneself(self, chains: Tensor) -> None:
+        """Make the current points of chains their leaders."""
+        self.led[chains] = True
+        self.leader_gel[chains], self.leader_nuisances[chains] = self.gel[chains], self.nuisances[chains]
+
+    def _lead(self, chains: Tensor) -> None:
+        """Near a minimum a chain takes the leader of another that is there already, or its own point, until it moves away."""
+        for chain in chains[self.led[chains] | (self.gradient[chains] < _NEAR)].tolist():
+            others = torch.nonzero(self.led & (self.model == self.model[chain]))[:, 0]
+            gaps = torch.linalg.solve_triangular(self.chol[chain], (self.leader_gel[others] - self.gel[chain]).mT, upper=False)
+            close = others[gaps.norm(dim=0) < _NEAR]
+            if not close.numel():
+                self._follow_oneself(torch.tensor([chain]))
+            elif not (close == chain).any():
+                first = close[0]
+                self.led[chain] = True
+                self.leader_gel[chain], self.leader_nuisances[chain] = self.leader_gel[first], self.leader_nuisances[first]
 
     def settle(self) -> None:
         """Let the other starts of a model rest once its best one has converged and a second agrees with it."""
@@ -323,9 +361,9 @@ class _Search:
             self.restarted[model] = True
             self.gel[apart] = self.gel[rows[0]].clone() + _RESTART * noise
             self.nuisances[apart] = self.nuisances[rows[0]].clone()
-            self.cost[apart] = self._cost(self.model[apart], self.gel[apart], self.nuisances[apart])[0]
+            self.cost[apart] = self._cost_alone(self.model[apart], self.gel[apart], self.nuisances[apart])
             self.finished[apart] = ~torch.isfinite(self.cost[apart])
-            self.spread[apart], self.damping[apart] = self.options.spread, 1e-2
+            self.led[apart], self.damping[apart] = False, 1e-2
 
     def report(self) -> str:
         """Costs and gradients of the best start of each model."""
@@ -354,8 +392,8 @@ class _Search:
             gradient < self.options.gradient and agreement < self.options.agreement,
         )
         free = len(part.names)
-        one = slice(best, best + 1)
-        _, prediction = self._cost(self.model[one], self.gel[one], self.nuisances[one])
+        one = torch.tensor([best])
+        prediction = self._predict_led(one, self.gel[one, None], self.nuisances[one, None])[0]
         return ModelFit(
             prior=part,
             mean=self.gel[best, :free],

@@ -173,7 +173,9 @@ def _along_frames(matrices: Tensor, values: Tensor) -> Tensor:
     return product.reshape(rows.shape).movedim(0, -2)
 
 
-def predict(simulator: Simulator, parameters: Tensor, batch: ExperimentBatch, shifts: Tensor | None = None) -> Tensor:
+def predict(
+    simulator: Simulator, parameters: Tensor, batch: ExperimentBatch, shifts: Tensor | None = None, *, bundled: bool = False
+) -> Tensor:
     """What the camera would see of each gel in each experiment.
 
     Args:
@@ -181,6 +183,8 @@ def predict(simulator: Simulator, parameters: Tensor, batch: ExperimentBatch, sh
         parameters: ``batch_shape x p`` tensor, SI.
         batch: the experiments, for their designs and times.
         shifts: ``batch_shape x E x 3`` tensor of nuisances in physical size; none when not given.
+        bundled: whether the last batch dimension holds the members of a bundle
+            (:meth:`imr_torch.simulate.Simulator.bundle`), the leader first.
 
     Returns:
         ``batch_shape x E x T`` tensor, R/Rmax with the measured Rmax; NaN rows where a solve failed.
@@ -188,5 +192,9 @@ def predict(simulator: Simulator, parameters: Tensor, batch: ExperimentBatch, sh
     designs, times, factor = batch.designs, batch.times, None
     if shifts is not None:
         designs, times, factor = displaced(designs, times, shifts)
-    radius = simulator(parameters[..., None, :], designs, times).radius
+    if bundled:  # experiments are bundles of their own, so members move to the last batch dimension
+        inputs = (x if x.ndim > 2 else x[None] for x in (parameters[..., None, :], designs, times))
+        radius = simulator.bundle(*(x.transpose(-3, -2) for x in inputs)).radius.transpose(-3, -2)
+    else:
+        radius = simulator(parameters[..., None, :], designs, times).radius
     return radius if factor is None else radius * factor

@@ -21,11 +21,22 @@ from imr_torch.simulate.radial import (
     RadialEquation,
     RayleighPlesset,
 )
-from imr_torch.simulate.simulator import Simulator, Solution, Status, broadcast_batch, check_designs, check_times, solve_batch
+from imr_torch.simulate.sensitivity import DESIGN, sensitivities
+from imr_torch.simulate.simulator import (
+    Simulator,
+    Solution,
+    Status,
+    broadcast_batch,
+    check_designs,
+    check_times,
+    solve_batch,
+    solve_bundles,
+)
 from imr_torch.simulate.transport import ACCURACIES, Accuracy, TransportSimulator
 
 __all__ = [
     "ACCURACIES",
+    "DESIGN",
     "PRESETS",
     "RADIAL_EQUATIONS",
     "STEPPINGS",
@@ -54,5 +65,7 @@ __all__ = [
     "check_designs",
     "check_times",
     "preset",
+    "sensitivities",
     "solve_batch",
+    "solve_bundles",
 ]

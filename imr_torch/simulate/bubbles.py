@@ -80,12 +80,13 @@ class Bubbles:
         terms: the stress terms that act in this batch.
         names: what the rows of ``numbers`` are.
         numbers: ``len(names) x B`` tensor.
+        acting: parameters that are not neutral in some member.
 
     Rows of ``numbers``: ``rest_radius``; ``tension`` (``1/We``); ``slowness`` (``1/c``); ``far`` (pressure afar);
     ``image`` (strength of a mirror bubble); ``velocity`` (at time zero); ``seconds`` (a unit of time); ``gas`` (pressure of
-    polytropic gas at ``R = 1``), its ``exponent``, and ``vapour`` (constant, beside it); ``start`` (pressure of the transporting mixture at
-    ``R = 1``) and ``constant_vapour`` (beside that); ``saturation`` (prefactor of the saturation pressure); ``chi``, and
-    ``chi_gas`` in the bubble; ``fom``; ``foh``; ``heating``; then all parameters as ``theta.NAME``.
+    polytropic gas at ``R = 1``), its ``exponent``, and ``vapour`` (constant, beside it); ``start`` (pressure of the
+    transporting mixture at ``R = 1``) and ``constant_vapour`` (beside that); ``saturation`` (prefactor of the saturation
+    pressure); ``chi``, and ``chi_gas`` in the bubble; ``fom``; ``foh``; ``heating``; then all parameters as ``theta.NAME``.
     """
 
     conditions: Conditions
@@ -93,6 +94,7 @@ class Bubbles:
     terms: tuple[AnyTerm, ...]
     names: tuple[str, ...]
     numbers: Tensor
+    acting: frozenset[str]
 
     @classmethod
     def of(
@@ -123,7 +125,8 @@ class Bubbles:
         }
         names = (*numbers, *(f"theta.{name}" for name in theta))
         rows = torch.stack(torch.broadcast_tensors(*numbers.values(), *theta.values()))
-        return cls(conditions, Constants.of(conditions), active_terms(theta, terms), names, rows)
+        acting = frozenset(name for name, value in theta.items() if bool((value != PARAMETERS[name].neutral).any()))
+        return cls(conditions, Constants.of(conditions), active_terms(theta, terms), names, rows, acting)
 
     def __len__(self) -> int:
         return self.numbers.shape[1]
@@ -153,28 +156,25 @@ class Bubbles:
         """Memory states at time zero, ``K x B``."""
         return memory_start(self.terms, self["rest_radius"], self.theta)
 
-    def _acts(self, *names: str) -> bool:
-        return any(bool((self.theta[name] != 0.0).any()) for name in names)
-
-    @cached_property
+    @property
     def driven(self) -> bool:
         """Whether the pressure afar changes for any member."""
-        return self.conditions.driving is not None or self._acts("sound_field", "pulse")
+        return self.conditions.driving is not None or not self.acting.isdisjoint(("sound_field", "pulse"))
 
-    @cached_property
+    @property
     def leaking(self) -> bool:
         """Whether any member loses gas."""
-        return self._acts("gas_loss")
+        return "gas_loss" in self.acting
 
-    @cached_property
+    @property
     def trapping(self) -> bool:
         """Whether any member's vapour lags behind its saturation."""
-        return self._acts("condensation")
+        return "condensation" in self.acting
 
-    @cached_property
+    @property
     def mirrored(self) -> bool:
         """Whether any member has a mirror bubble."""
-        return self._acts("wall")
+        return "wall" in self.acting
 
 
 def _contents(weber: Tensor, rest: Tensor, theta: dict[str, Tensor], conditions: Conditions) -> dict[str, Tensor]:

@@ -57,7 +57,8 @@ def interpolate(nodes: Tensor, radius: Tensor, velocity: Tensor, acceleration: T
         radius: ``B x n`` tensor at the nodes.
         velocity: ``B x n`` tensor.
         acceleration: ``B x n`` tensor.
-        times: ``B x n_t`` tensor; times before the first node are extrapolated.
+        times: ``B x n_t`` tensor; before the first node a parabola goes on (a polynomial fitted to a tiny first step would
+            blow up the rounding errors there).
 
     Returns:
         Radius and velocity, each ``B x n_t``. The error is of sixth order in the step.
@@ -75,6 +76,7 @@ def interpolate(nodes: Tensor, radius: Tensor, velocity: Tensor, acceleration: T
     u0, u1, a0, a1 = u0 * h, u1 * h, a0 * h * h, a1 * h * h
     d, e, f = r1 - r0 - u0 - 0.5 * a0, u1 - u0 - a0, a1 - a0
     c3, c4, c5 = 10.0 * d - 4.0 * e + 0.5 * f, -15.0 * d + 7.0 * e - f, 6.0 * d - 3.0 * e + 0.5 * f
+    c3, c4, c5 = (torch.where(s < 0.0, 0.0, c) for c in (c3, c4, c5))
     value = r0 + s * (u0 + s * (0.5 * a0 + s * (c3 + s * (c4 + s * c5))))
     slope = u0 + s * (a0 + s * (3.0 * c3 + s * (4.0 * c4 + s * 5.0 * c5)))
     return value, slope / h

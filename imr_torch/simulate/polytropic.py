@@ -15,7 +15,7 @@ from imr_torch.material import AnyTerm, MemoryTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import interpolate, time_per_tick
 from imr_torch.simulate.conditions import Conditions, Stepping
-from imr_torch.simulate.simulator import Solution, Status, solve_batch
+from imr_torch.simulate.simulator import Solution, Status, solve_batch, solve_bundles
 from imr_torch.simulate.wall import Head, acceleration, gel_memory_rate, leak
 
 _BLOCK = 32  # steps between two looks at who is done
@@ -46,19 +46,28 @@ class PolytropicSimulator:
         """
         return solve_batch(self._solve, _BATCH, (parameters, designs, times))
 
-    def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[Tensor, ...]:
-        """One block of members, with failed ones tried again at half the step."""
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
+        return solve_bundles(self._solve, _BATCH, (parameters, designs, times))
+
+    def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1) -> tuple[Tensor, ...]:
+        """One block of members, bundle after bundle; those whose leader failed are tried again at half the step."""
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
         stepping = self.stepping
         results = _march(bubbles, times, stepping)
         for _ in range(stepping.retries):
-            failed = torch.nonzero(results[3] != Status.DONE)[:, 0]
+            failed = torch.nonzero(_leaders(results[3], width) != Status.DONE)[:, 0]
             if failed.numel() == 0:
                 break
             stepping = replace(stepping, step=0.5 * stepping.step)
             again = _march(bubbles.take(failed), times[failed], stepping)
             results = tuple(old.index_copy(0, failed, new) for old, new in zip(results, again, strict=True))
-        return results
+        return *results[:3], _leaders(results[3], width), results[4]
+
+
+def _leaders(status: Tensor, width: int) -> Tensor:
+    """The status of each member's leader."""
+    return status[::width].repeat_interleave(width)
 
 
 def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping) -> tuple[Tensor, ...]:

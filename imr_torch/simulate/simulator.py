@@ -101,6 +101,41 @@ class Simulator(Protocol):
         """
         ...
 
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        """Simulate bundles: members that differ a little, in lock step, so that their differences are smooth.
+
+        The last batch dimension is that of a bundle. Its first member leads: what a solver decides by the bubble
+        (whether to accept a step, say) it decides by the leader, whose solution is the same as without followers.
+        A simulator that decides nothing may simply call itself.
+
+        Args:
+            parameters: ``batch_shape x w x p`` tensor, or broadcastable to it; SI.
+            designs: ``batch_shape x w x 2`` tensor.
+            times: ``batch_shape x w x n_t`` tensor.
+
+        Returns:
+            The solution. The status is the leader's; a follower that failed alone is NaN from there on.
+        """
+        ...
+
+
+def solve_bundles(solve: Callable[..., tuple[Tensor, ...]], size: int, arguments: tuple[Tensor, Tensor, Tensor]) -> Solution:
+    """As :func:`solve_batch` for bundles: the last batch dimension is theirs, and blocks hold whole bundles.
+
+    Args:
+        solve: as there, with the number of members in a bundle as fourth argument.
+        size: members in a block, at most, unless one bundle is larger.
+        arguments: as there.
+
+    Raises:
+        ShapeError: also if there is no batch dimension.
+    """
+    shape = broadcast_batch(*arguments)[0]
+    if not shape:
+        raise ShapeError("A bundle needs a batch dimension, the last, for its members: batch_shape x w x p parameters.")
+    width = shape[-1]
+    return solve_batch(lambda *block: solve(*block, width), max(1, size // width) * width, arguments)
+
 
 def broadcast_batch(parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[torch.Size, Tensor, Tensor, Tensor]:
     """Flatten the arguments of a simulator to ``B x p``, ``B x 2`` and ``B x n_t``; also returns ``batch_shape``.

@@ -16,7 +16,8 @@ from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.controller import Controller
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.rhs import Equations
-from imr_torch.simulate.simulator import Solution, solve_batch
+from imr_torch.simulate.sensitivity import differentiable
+from imr_torch.simulate.simulator import Solution, solve_batch, solve_bundles
 from imr_torch.simulate.stream import Stream
 
 _BATCH = 4000  # members whose paths are held in memory together
@@ -70,19 +71,30 @@ class TransportSimulator:
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
 
+        Where an argument requires a gradient, radii carry it: see :func:`imr_torch.simulate.sensitivity.differentiable`.
+
         Raises:
             ShapeError: if shapes do not fit.
             InputDataError: if a design is impossible, or times are not increasing and finite.
         """
+        if torch.is_grad_enabled() and any(x.requires_grad for x in (parameters, designs, times)):
+            return differentiable(self, parameters, designs, times)
         with torch.no_grad():
             return solve_batch(self._solve, _BATCH, (parameters, designs, times))
 
-    def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[Tensor, ...]:
-        """One block of members: radius, velocity, pressure, status, steps."""
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
+        with torch.no_grad():
+            return solve_bundles(self._solve, _BATCH, (parameters, designs, times))
+
+    def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1) -> tuple[Tensor, ...]:
+        """One block of members, bundle after bundle: radius, velocity, pressure, status, steps."""
         settings = self.accuracy
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
         inside, outside = (grid.to(parameters) for grid in settings.resolution.grids())
         controller = Controller(settings.tolerance)
-        path = Stream(Equations(bubbles, inside, outside), times[:, -1], controller, settings.slots, settings.max_steps).run()
+        last = times[:, -1].unflatten(0, (-1, width)).amax(1)
+        equations = Equations(bubbles, inside, outside)
+        path = Stream(equations, last, controller, settings.slots, settings.max_steps, width).run()
         radius, velocity, pressure = path.at(times)
         return radius, velocity, pressure + bubbles["constant_vapour"][:, None], path.status, path.count

@@ -147,7 +147,7 @@ def test_that_members_that_fail_do_not_move_the_answer() -> None:
     truth = exact(belief.models[0], batch)
     sd = float(truth.covariance[0, 0].sqrt())
     limit = MEANS["G"] + SDS["G"] * float(truth.mean[0] + 0.01 * sd)
-    fit = fitted(belief, batch, LinearSimulator(limit={"G": limit})).fits[0]
+    fit = fitted(belief, batch, LinearSimulator(limit={"G": limit}), options=replace(OPTIONS, spread=0.1)).fits[0]
     assert 0.1 < fit.certificate.failed_members < 0.7
     torch.testing.assert_close(fit.mean, truth.mean, rtol=0.0, atol=1e-2 * sd)
 
@@ -212,7 +212,7 @@ def test_that_a_simulator_that_always_fails_is_a_convergence_error() -> None:
         fitted(prior(("nhkv",)), experiments(2), LinearSimulator(fails=True))
 
 
-@pytest.mark.parametrize(("models", "members", "least"), [(("newtonian",), 2, 4), (("nhkv",), 4, 6), (MODELS, 6, 8)])
+@pytest.mark.parametrize(("models", "members", "least"), [(("nhkv",), 2, 4), (MODELS, 4, 6)])
 def test_that_too_small_an_ensemble_is_refused(models: tuple[str, ...], members: int, least: int) -> None:
     with pytest.raises(InputDataError, match=rf"members is {members}: \d parameters need at least {least} members"):
         fitted(prior(models), experiments(1), options=replace(OPTIONS, members=members))

@@ -1,0 +1,128 @@
+"""Derivatives of R*(t) in the gel, the design and time: finite differences of bubbles that advance in lock step.
+
+A perturbed copy that chose its own step sequence would differ from its original by the integration error of either. In
+a bundle (:meth:`imr_torch.simulate.Simulator.bundle`) both take the same decisions, so that their difference over a
+tiny increment is the derivative of the discrete solution: nothing is lost but rounding (internal numerical
+differentiation: Bock, in Modelling of Chemical Reaction Systems, Springer 1981). A bundle costs as much as its members
+in one batch; see ``benchmarks/RESULTS.md``.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from imr_torch.errors import InputDataError
+from imr_torch.material import PARAMETERS, dimensionless
+from imr_torch.simulate.simulator import Simulator, Solution, broadcast_batch
+from imr_torch.units import Surroundings
+
+DESIGN = ("weber", "rest_radius")
+"""Names of the design's entries, beside those of ``PARAMETERS``."""
+
+_INCREMENT = 3e-7  # error then 1e-6 of the largest sensitivity: curvature and rounding balance
+_SMALL = 0.1  # dimensionless size below which increments of a material parameter no longer shrink
+
+
+def sensitivities(
+    simulator: Simulator,
+    parameters: Tensor,
+    designs: Tensor,
+    times: Tensor,
+    *,
+    names: Sequence[str] | None = None,
+) -> tuple[Solution, Tensor]:
+    """Simulate a batch together with the derivatives of its radii.
+
+    The derivative in time is the solution's ``velocity``.
+
+    Args:
+        simulator: makes the bubbles.
+        parameters: ``batch_shape x p`` tensor, SI, in the order of ``PARAMETERS``.
+        designs: ``batch_shape x 2`` tensor, (We, R_inf*).
+        times: ``n_t`` or ``batch_shape x n_t`` tensor, dimensionless.
+        names: ``k`` names of ``PARAMETERS`` or ``DESIGN``; all when not given. Each costs one more member a bubble.
+
+    Returns:
+        The solution, and a ``batch_shape x n_t x k`` tensor: dR* per unit (SI) of each entry. At its upper bound an entry
+        is differentiated from below. Where the solve failed, NaN.
+
+    Raises:
+        ShapeError: if shapes do not fit.
+        InputDataError: for an unknown name, and as the simulator does.
+    """
+    names = (*PARAMETERS.names, *DESIGN) if names is None else tuple(names)
+    columns = [_column(name) for name in names]
+    with torch.no_grad():
+        shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
+        values = torch.cat((parameters, designs.to(parameters)), 1)
+        moved = _moved(values, simulator.conditions.surroundings)
+        bundles = values[:, None].repeat(1, 1 + len(columns), 1)
+        for row, column in enumerate(columns, start=1):
+            bundles[:, row, column] = moved[:, column]
+        gels, shots = bundles.split((len(PARAMETERS), len(DESIGN)), -1)
+        result = simulator.bundle(gels, shots, times[:, None])
+        increments = (moved - values)[:, columns]
+        jacobian = (result.radius[:, 1:] - result.radius[:, :1]) / increments[..., None]
+    leaders = {name: value[:, 0].reshape((*shape, *value.shape[2:])) for name, value in vars(result).items()}
+    return Solution(**leaders), jacobian.mT.reshape(*shape, times.shape[-1], len(columns))
+
+
+def _column(name: str) -> int:
+    """Place of an entry in parameters and design side by side."""
+    if name in DESIGN:
+        return len(PARAMETERS) + DESIGN.index(name)
+    if name not in PARAMETERS:
+        known = ", ".join((*PARAMETERS.names, *DESIGN))
+        raise InputDataError(f"No sensitivity to {name!r}; known are {known}.")
+    return PARAMETERS.index([name])[0]
+
+
+def _moved(values: Tensor, surroundings: Surroundings) -> Tensor:
+    """Parameters and design side by side, ``B x (p + 2)``, each moved by its increment and still within its bounds."""
+    gels, designs = values.split((len(PARAMETERS), len(DESIGN)), 1)
+    scales = dimensionless(torch.ones_like(gels), surroundings.max_radius(designs[:, 0]), surroundings)
+    floor = torch.cat((_SMALL / torch.stack(list(scales.values()), 1), torch.zeros_like(designs)), 1)
+    increment = max(_INCREMENT, torch.finfo(values.dtype).eps ** 0.5) * torch.maximum(values.abs(), floor)
+    upper = values.new_tensor([entry.upper for entry in PARAMETERS] + [torch.inf, 1.0])
+    return torch.where(values + increment < upper, values + increment, values - increment)
+
+
+def differentiable(simulator: Simulator, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    """A solution whose radii carry gradients, by :func:`sensitivities`; arguments as there.
+
+    All parameters are differentiated if ``parameters`` requires a gradient, both entries of the design if ``designs``
+    does; time costs nothing. Velocity and pressure carry no gradient.
+    """
+    shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
+    radius, *others = _Radius.apply(simulator, parameters, designs, times)
+    fields = [value.reshape((*shape, *value.shape[1:])) for value in (radius, *others)]
+    return Solution(times.reshape(*shape, -1), *fields)
+
+
+class _Radius(torch.autograd.Function):
+    """Flat parameters, designs and times to the fields of a solution after ``times``, its radius differentiable."""
+
+    @staticmethod
+    def forward(ctx: Any, simulator: Simulator, parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[Tensor, ...]:
+        by_gel, by_design = ctx.needs_input_grad[1:3]
+        names = (*(PARAMETERS.names if by_gel else ()), *(DESIGN if by_design else ()))
+        solution, jacobian = sensitivities(simulator, parameters, designs, times, names=names)
+        others = (solution.velocity, solution.bubble_pressure, solution.status, solution.steps)
+        ctx.mark_non_differentiable(*others)
+        ctx.save_for_backward(jacobian, solution.velocity)
+        ctx.gels = len(PARAMETERS) if by_gel else 0
+        return solution.radius, *others
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
+        jacobian, velocity = ctx.saved_tensors
+        asked = gradient != 0.0  # the derivatives of failed members are NaN, and count only if asked for
+        columns = torch.where(asked[..., None], gradient[..., None] * jacobian, 0.0).sum(1)
+        by_gel, by_design = columns[:, : ctx.gels], columns[:, ctx.gels :]
+        needed = ctx.needs_input_grad
+        by_time = torch.where(asked, gradient * velocity, 0.0)
+        return None, by_gel if needed[1] else None, by_design if needed[2] else None, by_time if needed[3] else None

@@ -1,0 +1,236 @@
+"""Sensitivities of R*(t) against differences of separate solves, autograd, linearity; bundles and their failures."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.material import PARAMETERS, reference_case
+from imr_torch.simulate import (
+    ACCURACIES,
+    DESIGN,
+    Accuracy,
+    PolytropicSimulator,
+    Resolution,
+    Simulator,
+    Status,
+    Stepping,
+    TransportSimulator,
+    sensitivities,
+)
+
+TIMES = torch.linspace(0.0, 1.6, 33, dtype=torch.float64)
+NAMES = ("G", "mu", "alpha", *DESIGN)
+SMALL = Resolution(12, 8)
+FINE = TransportSimulator(accuracy=Accuracy(1e-6, SMALL))
+FAST = TransportSimulator(accuracy=ACCURACIES["fast"])
+SIMULATORS = [pytest.param(FAST, id="transport"), pytest.param(PolytropicSimulator(), id="polytropic")]
+
+
+def gels(count: int) -> tuple[Tensor, Tensor]:
+    random = torch.Generator().manual_seed(3)
+    low, high = torch.tensor([100.0, 0.14]), torch.tensor([1000.0, 0.30])
+    designs = low + (high - low) * torch.rand(count, 2, generator=random, dtype=torch.float64)
+    return reference_case("stiff-pa").prior.sample(count, seed=3).parameters, designs
+
+
+def joined(parameters: Tensor, designs: Tensor, moves: Tensor) -> tuple[Tensor, Tensor]:
+    """Parameters and designs moved by ``moves`` in the order of ``NAMES``."""
+    parameters, designs = parameters.expand(*moves.shape[:-1], -1).clone(), designs.expand(*moves.shape[:-1], -1)
+    parameters[..., PARAMETERS.index(NAMES[:3])] += moves[..., :3]
+    return parameters, designs + moves[..., 3:]
+
+
+def relative(found: Tensor, expected: Tensor) -> float:
+    """Largest error over time as a share of the largest value, over all members and columns."""
+    return float(((found - expected).abs().amax(-2) / expected.abs().amax(-2)).max())
+
+
+@pytest.mark.parametrize("simulator", [FINE, PolytropicSimulator(stepping=Stepping(0.03))], ids=["transport", "polytropic"])
+def test_that_they_are_the_differences_of_separate_fine_solves(simulator: Simulator) -> None:
+    parameters, designs = gels(1)
+    _, jacobian = sensitivities(simulator, parameters, designs, TIMES, names=NAMES)
+    size = torch.cat((parameters[0, PARAMETERS.index(NAMES[:3])], designs[0])).clamp_min(0.1)
+    sides = [joined(parameters, designs, side * 2e-4 * torch.diag(size)) for side in (1.0, -1.0)]
+    up, down = (simulator(*side, TIMES).radius for side in sides)
+    assert relative(jacobian[0], ((up - down) / (4e-4 * size[:, None])).mT) < 2e-3
+
+
+def test_that_the_default_accuracy_gives_them_to_two_percent() -> None:
+    parameters, designs = gels(6)
+    _, jacobian = sensitivities(TransportSimulator(), parameters, designs, TIMES, names=NAMES)
+    _, exact = sensitivities(TransportSimulator(accuracy=Accuracy(1e-6)), parameters, designs, TIMES, names=NAMES)
+    active = [i for i in range(len(NAMES)) if bool(exact[..., i].any())]
+    assert relative(jacobian[..., active], exact[..., active]) < 2e-2
+
+
+def test_that_polytropic_ones_are_those_of_autograd() -> None:
+    parameters, designs = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48})[None], gels(1)[1]
+    simulator = PolytropicSimulator()
+    _, jacobian = sensitivities(simulator, parameters[0], designs[0], TIMES)
+
+    def radius(parameters: Tensor, designs: Tensor) -> Tensor:
+        return simulator(parameters, designs, TIMES).radius
+
+    by_gel, by_design = torch.autograd.functional.jacobian(radius, (parameters[0], designs[0]))  # pyright: ignore
+    assert relative(jacobian, torch.cat((by_gel, by_design), 1)) < 1e-5
+
+
+@pytest.mark.parametrize("simulator", SIMULATORS)
+def test_that_a_bundle_answers_a_combination_of_moves_by_the_combination_of_sensitivities(simulator: Simulator) -> None:
+    parameters, designs = gels(2)
+    _, jacobian = sensitivities(simulator, parameters, designs, TIMES, names=NAMES)
+    direction = 1e-6 * torch.tensor([300.0, -0.02, 0.1, 50.0, 0.02], dtype=torch.float64)
+    moves = torch.stack((0.0 * direction, direction))
+    gel, design = joined(parameters[:, None], designs[:, None], moves.expand(2, 2, -1))
+    radius = simulator.bundle(gel, design, TIMES).radius
+    change, expected = radius[:, 1] - radius[:, 0], jacobian @ direction
+    assert relative(change[..., None], expected[..., None]) < 1e-4
+
+
+@pytest.mark.parametrize("simulator", SIMULATORS)
+def test_that_the_leader_of_a_bundle_does_not_feel_its_followers(simulator: Simulator) -> None:
+    parameters, designs = gels(3)
+    solution, _ = sensitivities(simulator, parameters, designs, TIMES, names=("G", "weber"))
+    alone = simulator(parameters, designs, TIMES)
+    for name, value in vars(alone).items():
+        torch.testing.assert_close(getattr(solution, name), value, rtol=1e-9, atol=1e-9)
+
+
+def test_that_they_do_not_depend_on_neighbours_slots_or_the_other_columns() -> None:
+    parameters, designs = gels(7)
+    crowded = replace(FAST, accuracy=replace(FAST.accuracy, slots=9))
+    _, together = sensitivities(crowded, parameters, designs, TIMES, names=("G", "mu", "rest_radius"))
+    for i in (0, 6):
+        _, alone = sensitivities(FAST, parameters[i], designs[i], TIMES, names=("rest_radius", "G"))
+        assert relative(together[i][:, [2, 0]], alone) < 1e-5
+
+
+def test_that_members_of_a_bundle_differ_smoothly_and_separate_solves_do_not() -> None:
+    """Jumps of the slope along a line of gels, as shares of the slope: decisions that change show in separate solves."""
+    parameters, designs = gels(1)
+    line, simulator = parameters.repeat(81, 1), TransportSimulator(accuracy=Accuracy(resolution=SMALL))
+    line[:, 0] *= torch.linspace(1.0, 1.02, 81, dtype=torch.float64)
+
+    def roughness(radius: Tensor) -> float:
+        slope = torch.diff(radius, dim=0)
+        return float(torch.diff(slope, dim=0).abs().max() / slope.abs().max())
+
+    assert roughness(simulator.bundle(line, designs, TIMES).radius) < 3e-3
+    assert roughness(simulator(line, designs, TIMES).radius) > 3e-2
+
+
+@pytest.mark.parametrize("simulator", SIMULATORS)
+@pytest.mark.parametrize(
+    ("values", "design", "name"),
+    [
+        ({"G": 3e3, "mu": 0.1}, (500.0, 0.2), "alpha"),
+        ({"mu": 0.1}, (500.0, 0.2), "G"),
+        ({"G": 3e3}, (500.0, 0.25), "mu"),
+        ({"G": 1e7, "mu": 0.1}, (500.0, 0.7), "G"),
+        ({"G": 3e3, "mu": 0.1}, (500.0, 1.0 - 1e-8), "rest_radius"),
+    ],
+    ids=["no stiffening", "no spring", "no viscosity", "stiffest", "at rest"],
+)
+def test_that_an_entry_at_its_bound_is_differentiated_inwards(simulator: Simulator, values, design, name: str) -> None:
+    """Against a difference of a thousand times the increment, inside the bounds."""
+    parameters, shot = PARAMETERS.pack(values), torch.tensor(design, dtype=torch.float64)
+    times = TIMES[:12]
+    solution, jacobian = sensitivities(simulator, parameters, shot, times, names=(name,))
+    column = [*PARAMETERS.names, *DESIGN].index(name)
+    both = torch.cat((parameters, shot)).expand(2, -1).clone()
+    sign = -1.0 if name == "rest_radius" or both[0, column] >= 1e7 else 1.0
+    move = sign * 1e-4 * max(float(both[0, column]), 1e2 if name == "G" else 0.1)
+    both[1, column] += move
+    radius = simulator.bundle(both[:, : len(PARAMETERS)], both[:, len(PARAMETERS) :], times).radius
+    assert bool(solution.ok)
+    assert relative(jacobian, ((radius[1] - radius[0]) / move)[:, None]) < 0.02
+
+
+def test_that_a_bubble_that_fails_has_no_sensitivities_and_leaves_the_others_alone() -> None:
+    parameters = PARAMETERS.pack({"mu": torch.tensor([0.3, 1e-3], dtype=torch.float64), "G": 6e2})
+    designs = torch.tensor([[100.0, 0.4], [1500.0, 0.1]], dtype=torch.float64)
+    simulator = TransportSimulator(accuracy=Accuracy(max_steps=70))
+    solution, jacobian = sensitivities(simulator, parameters, designs, TIMES, names=("mu",))
+    assert solution.status.tolist() == [Status.DONE, Status.TOO_MANY_STEPS]
+    assert bool(torch.isfinite(jacobian[0]).all())
+    assert bool(torch.isnan(jacobian[1, -1]).all())
+
+
+def test_that_a_leader_saved_by_a_finer_step_takes_its_followers_along() -> None:
+    """A bubble that fails at its first step: a follower at another step than its leader would show as noise."""
+    parameters, designs = PARAMETERS.neutral(), torch.tensor([1000.0, 0.05], dtype=torch.float64)
+    times = torch.linspace(0.0, 1.0, 11, dtype=torch.float64)[:9]
+    assert not bool(PolytropicSimulator(stepping=Stepping(0.5, retries=0))(parameters, designs, times + 0.2).ok)
+    coarse, fine = (
+        sensitivities(PolytropicSimulator(stepping=Stepping(step)), parameters, designs, times + 0.2, names=NAMES)
+        for step in (0.5, 0.03)
+    )
+    assert bool(coarse[0].ok)
+    early = slice(0, 6)
+    assert relative(coarse[1][early, [0, 1, 4]], fine[1][early, [0, 1, 4]]) < 0.1
+
+
+# ---------------------------------------------------------------- autograd
+
+
+def test_that_gradients_are_the_sensitivities() -> None:
+    parameters, designs = gels(2)
+    given = [x.clone().requires_grad_() for x in (parameters, designs, TIMES)]
+    weights = torch.randn(2, len(TIMES), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    gradients = torch.autograd.grad((FAST(given[0], given[1], given[2]).radius * weights).sum(), given)
+    solution, jacobian = sensitivities(FAST, parameters, designs, TIMES)
+    columns = (weights[..., None] * jacobian).sum(1)
+    torch.testing.assert_close(gradients[0], columns[:, : len(PARAMETERS)], rtol=1e-5, atol=1e-8)
+    torch.testing.assert_close(gradients[1], columns[:, len(PARAMETERS) :], rtol=1e-5, atol=1e-8)
+    torch.testing.assert_close(gradients[2], (weights * solution.velocity).sum(0))
+
+
+def test_that_the_derivative_over_time_is_the_slope_of_the_output() -> None:
+    parameters, designs = gels(1)
+    times = TIMES[1:].clone().requires_grad_()
+    (slope,) = torch.autograd.grad(FAST(parameters[0], designs[0], times).radius.sum(), times)
+    near = torch.stack((TIMES[1:] - 1e-7, TIMES[1:] + 1e-7))
+    below, above = FAST(parameters[0], designs[0], near).radius
+    torch.testing.assert_close(slope, (above - below) / 2e-7, rtol=1e-4, atol=1e-6)
+
+
+def test_that_gradients_sum_over_what_was_broadcast() -> None:
+    parameters, designs = gels(2)
+    gel = parameters[0].clone().requires_grad_()
+    FAST(gel, designs[:, None], TIMES).radius.square().sum().backward()
+    each = parameters[0].expand(2, -1).clone().requires_grad_()
+    FAST(each, designs, TIMES).radius.square().sum().backward()
+    assert gel.grad is not None
+    assert each.grad is not None
+    torch.testing.assert_close(gel.grad, each.grad.sum(0), rtol=1e-6, atol=1e-8)
+
+
+def test_that_a_failed_member_does_not_spoil_the_gradient_of_the_others() -> None:
+    designs = torch.tensor([[100.0, 0.4], [1500.0, 0.1]], dtype=torch.float64)
+    gel = PARAMETERS.pack({"mu": 0.3, "G": 6e2}).requires_grad_()
+    solution = TransportSimulator(accuracy=Accuracy(max_steps=70))(gel, designs, TIMES)
+    assert solution.ok.tolist() == [True, False]
+    (gradient,) = torch.autograd.grad(solution.radius[solution.ok].sum(), gel)
+    assert bool(torch.isfinite(gradient).all())
+
+
+def test_that_nothing_is_differentiated_where_nobody_asks() -> None:
+    parameters, designs = gels(1)
+    gel = parameters.requires_grad_()
+    with torch.no_grad():
+        assert not FAST(gel, designs, TIMES).radius.requires_grad
+    solution = FAST(gel, designs, TIMES)
+    assert solution.radius.requires_grad
+    assert not solution.velocity.requires_grad
+
+
+def test_that_an_unknown_name_and_a_bundle_without_members_are_refused() -> None:
+    parameters, designs = gels(1)
+    with pytest.raises(InputDataError, match=r"No sensitivity to 'beta'; known are G, .*rest_radius"):
+        sensitivities(FAST, parameters, designs, TIMES, names=("beta",))
+    for simulator in (FAST, PolytropicSimulator()):
+        with pytest.raises(ShapeError, match="A bundle needs a batch dimension"):
+            simulator.bundle(parameters[0], designs[0], TIMES)
