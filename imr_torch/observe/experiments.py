@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.observe.distortion import Distortion
 from imr_torch.observe.noise import Noise
 from imr_torch.observe.nuisance import Nuisance, displaced
 from imr_torch.simulate import Simulator, check_designs
@@ -190,11 +191,22 @@ def predict(
         ``batch_shape x E x T`` tensor, R/Rmax with the measured Rmax; NaN rows where a solve failed.
     """
     designs, times, factor = batch.designs, batch.times, None
+    distortion = Distortion.of(parameters)
+    if distortion is not None:
+        shifts = distortion.shifts if shifts is None else shifts + distortion.shifts
     if shifts is not None:
         designs, times, factor = displaced(designs, times, shifts)
-    if bundled:  # experiments are bundles of their own, so members move to the last batch dimension
+
+    def simulate(times: Tensor) -> Tensor:
+        if not bundled:
+            return simulator(parameters[..., None, :], designs, times).radius
+        # experiments are bundles of their own, so members move to the last batch dimension
         inputs = (x if x.ndim > 2 else x[None] for x in (parameters[..., None, :], designs, times))
-        radius = simulator.bundle(*(x.transpose(-3, -2) for x in inputs)).radius.transpose(-3, -2)
+        return simulator.bundle(*(x.transpose(-3, -2) for x in inputs)).radius.transpose(-3, -2)
+
+    if distortion is None:
+        radius = simulate(times)
     else:
-        radius = simulator(parameters[..., None, :], designs, times).radius
+        designs, times = distortion.placed(designs, times)
+        radius = distortion.filmed(times, simulate)
     return radius if factor is None else radius * factor

@@ -53,7 +53,7 @@ class Path:
 
 
 def _cubic(nodes: Tensor, values: Tensor, rates: Tensor, times: Tensor) -> Tensor:
-    """Cubic Hermite interpolation, linear before the first node; arguments as in :func:`~imr_torch.simulate.clock.interpolate`."""
+    """Cubic Hermite interpolation, linear before the first node; see :func:`imr_torch.simulate.clock.interpolate`."""
     right = torch.searchsorted(nodes, times.contiguous()).clamp(1, nodes.shape[1] - 1)
     t0, t1, v0, v1, r0, r1 = (x.gather(1, i) for x in (nodes, values, rates) for i in (right - 1, right))
     h = (t1 - t0).clamp_min(torch.finfo(times.dtype).tiny)
