@@ -14,6 +14,7 @@ taken only if it lowers the exact cost; see :mod:`imr_torch.assimilate.fit` for 
 """
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import torch
@@ -21,7 +22,7 @@ from torch import Tensor
 
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
-from imr_torch.errors import ConvergenceError, ConvergenceWarning, InputDataError
+from imr_torch.errors import ConvergenceError, ConvergenceWarning, InputDataError, ShapeError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import child, generator
@@ -75,6 +76,7 @@ def assimilate(
     seed: int,
     options: EnsembleOptions | None = None,
     near: Assimilation | None = None,
+    starts: Sequence[Tensor] | None = None,
     progress: Progress | None = None,
 ) -> Assimilation:
     """Fit every model of a belief to a batch of experiments.
@@ -87,6 +89,8 @@ def assimilate(
         options: how to search.
         near: an assimilation of the same belief and experiments (with another noise, say) to start from, in place of
             scouts; the starts are then perturbed copies of its optimum.
+        starts: per model, ``options.starts x d`` controls ``v`` (see :class:`imr_torch.assimilate.ModelFit`) to start from, in
+            place of scouts.
         progress: called with one line per iteration.
 
     Returns:
@@ -103,7 +107,7 @@ def assimilate(
             f"EnsembleOptions.members is {options.members}: {largest} parameters need at least {2 * largest} members, "
             "or the ensemble is degenerate."
         )
-    search = _Search(belief, batch, simulator, options, seed, near)
+    search = _Search(belief, batch, simulator, options, seed, near, starts)
     for iteration in range(options.iterations):
         search.iterate()
         search.settle()
@@ -136,6 +140,7 @@ class _Search:
         options: EnsembleOptions,
         seed: int,
         near: Assimilation | None,
+        starts: Sequence[Tensor] | None,
     ) -> None:
         self.belief, self.batch, self.simulator, self.options = belief, batch, simulator, options
         self.sds = batch.nuisance_sds
@@ -144,10 +149,12 @@ class _Search:
         source = generator(child(seed, "assimilate"))
         self.anomalies = options.spread * _antithetic(options.members or 2 * self.size, self.size, source)
         self.model = torch.arange(len(belief.models)).repeat_interleave(options.starts)
-        if near is None:
-            self._scout(source)
-        else:
+        if starts is not None:
+            self._start_at(starts)
+        elif near is not None:
             self._start_near(near, source)
+        else:
+            self._scout(source)
         chains = len(self.model)
         self.damping = torch.full((chains,), 1e-2, dtype=torch.float64)
         self.chol = 0.5 * torch.eye(self.size, dtype=torch.float64).repeat(chains, 1, 1)
@@ -176,6 +183,16 @@ class _Search:
         self.gel = torch.cat([draws[i, rows] for i, rows in enumerate(chosen)])
         self.cost = torch.cat([cost[i, rows] for i, rows in enumerate(chosen)])
         self.nuisances = torch.zeros(len(self.model), experiments, 3, dtype=torch.float64)
+
+    def _start_at(self, starts: Sequence[Tensor]) -> None:
+        """Start each model at given controls."""
+        free, count = [len(part.names) for part in self.belief.models], self.options.starts
+        if [tuple(rows.shape) for rows in starts] != [(count, d) for d in free]:
+            shapes = [tuple(rows.shape) for rows in starts]
+            raise ShapeError(f"starts has shapes {shapes}; expected {count} (options.starts) x {free} free parameters.")
+        self.gel = torch.cat([torch.nn.functional.pad(rows, (0, self.size - rows.shape[1])) for rows in starts])
+        self.nuisances = torch.zeros(len(self.model), self.batch.designs.shape[0], 3, dtype=torch.float64)
+        self.cost = self._cost_alone(self.model, self.gel, self.nuisances)
 
     def _start_near(self, near: Assimilation, source: torch.Generator) -> None:
         """Start each model at an earlier optimum and at perturbed copies of it."""

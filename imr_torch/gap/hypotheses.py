@@ -1,0 +1,127 @@
+"""Hypotheses of a diagnosis: the base model alone, or with one or more effects freed, each a model of one belief.
+
+A hypothesis is the base model's prior with the effects' priors beside it, so everything that fits, weighs or designs for
+models does so for causes. Fits of effects start at the null fit, with the effect at each of its starts.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate
+from imr_torch.gap.effects import Effect
+from imr_torch.material import PARAMETERS, Belief, Marginal, ModelBelief
+from imr_torch.observe import ExperimentBatch
+from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """The base model with some effects; none for the null hypothesis.
+
+    Args:
+        base: the base model's prior.
+        effects: what is freed beside it.
+    """
+
+    base: ModelBelief
+    effects: tuple[Effect, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """``"none"``, or the names of the effects joined by ``+``."""
+        return "+".join(effect.name for effect in self.effects) or "none"
+
+    @property
+    def extra(self) -> tuple[str, ...]:
+        """Parameters beside those of the base, in the order of the effects."""
+        return tuple(name for effect in self.effects for name in effect.names)
+
+    @property
+    def belief(self) -> ModelBelief:
+        """The prior of base and effects together."""
+        priors: dict[str, Marginal] = dict(zip(self.base.names, self.base.marginals, strict=True))
+        for effect in self.effects:
+            priors |= effect.priors
+        names = tuple(name for name in PARAMETERS.names if name in priors)
+        place = [names.index(name) for name in self.base.names]
+        mean = torch.zeros(len(names), dtype=torch.float64)
+        chol = torch.eye(len(names), dtype=torch.float64)
+        mean[place] = self.base.mean
+        chol[torch.tensor(place)[:, None], torch.tensor(place)] = self.base.chol
+        key = "+".join((self.base.model, *self.extra))
+        return ModelBelief(key, tuple(priors[name] for name in names), mean, chol, self.base.known)
+
+    def starts(self, null: ModelFit) -> Tensor:
+        """``S x d`` controls ``v``: the null fit's, with the last effect at each of its starts, the others at their first."""
+        belief = self.belief
+        last = self.effects[-1]
+        rows = []
+        for start in last.starts:
+            values = {name: effect.starts[0][i] for effect in self.effects for i, name in enumerate(effect.names)}
+            values |= dict(zip(last.names, start, strict=True))
+            row = torch.zeros(len(belief.names), dtype=torch.float64)
+            for i, (name, marginal) in enumerate(zip(belief.names, belief.marginals, strict=True)):
+                if name in values:
+                    row[i] = marginal.to_control(torch.tensor(values[name], dtype=torch.float64))
+                else:
+                    row[i] = null.mean[null.prior.names.index(name)]
+            rows.append(row)
+        return torch.stack(rows)
+
+
+def fit_null(
+    base: ModelBelief, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None = None
+) -> ModelFit:
+    """The base model with nuisances, from several starts, with its certificate."""
+    belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
+    return assimilate(belief, batch, simulator, seed=seed, progress=progress).fits[0]
+
+
+def fit_hypotheses(
+    hypotheses: Sequence[Hypothesis],
+    null: ModelFit,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+    options: EnsembleOptions | None = None,
+    progress: Progress | None = None,
+) -> dict[str, ModelFit]:
+    """Fit hypotheses from the null fit; those of one size and as many starts are fitted in one batch.
+
+    Returns:
+        Name of the hypothesis -> fit.
+    """
+    groups: dict[tuple[int, int], list[Hypothesis]] = {}
+    for hypothesis in hypotheses:
+        shape = tuple(hypothesis.starts(null).shape)
+        groups.setdefault((shape[0], shape[1]), []).append(hypothesis)
+    fits: dict[str, ModelFit] = {}
+    for (count, _), members in groups.items():
+        beliefs = tuple(h.belief for h in members)
+        belief = Belief(beliefs, torch.zeros(len(beliefs), dtype=torch.float64))
+        found = assimilate(
+            belief,
+            batch,
+            simulator,
+            seed=seed,
+            options=replace(options or EnsembleOptions(), starts=count),
+            starts=[h.starts(null) for h in members],
+            progress=progress,
+        )
+        fits |= {h.name: fit for h, fit in zip(members, found.fits, strict=True)}
+    return fits
+
+
+def as_assimilation(fit: ModelFit, batch: ExperimentBatch) -> Assimilation:
+    """One fit as an assimilation, for functions that take one."""
+    return Assimilation(Belief((fit.prior,), torch.zeros(1, dtype=torch.float64)), batch, (fit,))
+
+
+def laplace_evidence(fit: ModelFit) -> float:
+    """``log p(y)`` in the Gaussian approximation, nats; priors are standard normal in the controls, so constants cancel."""
+    return float(-fit.cost + fit.chol.diagonal().log().sum() - 0.5 * fit.nuisance_log_det)

@@ -1,0 +1,210 @@
+"""Is there a gap? Directed score tests on the residual of a fit, each in a few directions beside those fitted.
+
+A chi-square over all frames is nearly blind to a small effect, because it asks in every direction at once. A block asks in
+the few directions in which something definite would show: each effect of the library at a finite step, pressure pulses,
+parameters that change in time or between designs, distortions of the output. The smallest p-value over the blocks is
+calibrated against residuals drawn under the fitted model (Rao's score test; parametric bootstrap: Davison & Hinkley,
+Bootstrap Methods and their Application, 1997, section 4.2).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.gap.effects import Effect
+from imr_torch.gap.linear import Linearisation, curves
+from imr_torch.observe import ExperimentBatch
+from imr_torch.random import generator
+from imr_torch.simulate import Simulator
+
+_RANK = 1e-3  # singular values below this part of the largest add no direction
+_BOOTSTRAP = 2000
+_PULSES = 8
+_LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones to be tested
+
+
+@dataclass(frozen=True)
+class Block:
+    """Directions that are tested together.
+
+    Args:
+        name: what they stand for.
+        directions: ``N x k`` tensor with orthonormal columns, beside the fitted directions; ``k = 0`` if nothing is left.
+        size: length of the first direction before it was normalised: how many sd the effect would show at its step.
+    """
+
+    name: str
+    directions: Tensor
+    size: float = math.nan
+
+
+@dataclass(frozen=True)
+class BlockResult:
+    """A block's statistic: ``chi2`` of ``rank`` degrees of freedom under the fitted model."""
+
+    name: str
+    statistic: float
+    rank: int
+    p_value: float
+    power: float
+
+
+@dataclass(frozen=True)
+class GapTest:
+    """The verdict of all blocks.
+
+    Args:
+        p_value: of the smallest block p-value, calibrated for the number of blocks.
+        blocks: each block's own result, smallest p-value first.
+        bias_sigma: root mean square of the residual beyond noise, in single-shot standard deviations; 0 if none.
+        bias_radius: the same in R*.
+    """
+
+    p_value: float
+    blocks: tuple[BlockResult, ...]
+    bias_sigma: float
+    bias_radius: float
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a gap at the 4 % level."""
+        return self.p_value < 0.04
+
+
+def effect_directions(
+    effects: Sequence[Effect], fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation
+) -> dict[str, Tensor]:
+    """What each effect changes at each of its starts, whitened: name -> ``S x N``; starts that fail are left out."""
+    changes, owner = [], []
+    for effect in effects:
+        for start in effect.starts:
+            changes.append(dict(zip(effect.names, start, strict=True)))
+            owner.append(effect.name)
+    rows = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num(nan=math.inf))
+    good = torch.isfinite(rows).all(1)
+    return {
+        effect.name: rows[[i for i, name in enumerate(owner) if name == effect.name and bool(good[i])]] for effect in effects
+    }
+
+
+def block(name: str, rows: Tensor, line: Linearisation) -> Block:
+    """A block from whitened directions ``k x N``: projected, then reduced to an orthonormal set."""
+    left = line.project(rows)
+    kept = left.square().sum(1) > _LEFT * rows.square().sum(1).clamp_min(1e-300)
+    left = left[kept]
+    if not len(left):
+        return Block(name, line.residual.new_zeros(len(line.residual), 0))
+    size = float(left.norm(dim=1).max())
+    left = left / left.norm(dim=1, keepdim=True)
+    u, s, _ = torch.linalg.svd(left.mT, full_matrices=False)
+    return Block(name, u[:, s > _RANK * s[0]], size)
+
+
+def generic_blocks(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation) -> list[Block]:
+    """Blocks that stand for no effect in particular: pulses, drifting parameters, distorted output, everything."""
+    experiments = len(batch.experiments)
+    times = batch.times
+    last = float(times[batch.mask].max())
+    centres = torch.linspace(0.1, 0.9, _PULSES, dtype=torch.float64) * last
+    width = math.log(0.5 * last / _PULSES)
+    changes = [{"pulse": 0.01, "pulse_time": float(c), "pulse_width": width} for c in centres]
+    pulses = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num())
+    data = line.fitted.shape[0] - line.fitted.shape[1]
+    gel = torch.nn.functional.pad(line.fitted[:data, : len(fit.mean)].mT, (0, line.fitted.shape[1]))
+    early = torch.nn.functional.pad((times < 0.5 * last).flatten().to(gel), (0, line.fitted.shape[1]))
+    blocks = [
+        block("pulses common to all experiments", pulses, line),
+        block("parameters early against late", gel * early, line),
+        block("shape of the output", _shape_rows(line), line),
+    ]
+    if experiments > 1:
+        masks = torch.eye(experiments, dtype=torch.float64)[:, :, None].expand(-1, -1, times.shape[1]).flatten(1)
+        masks = torch.nn.functional.pad(masks, (0, line.fitted.shape[1]))
+        blocks.append(block("parameters between designs", (masks[:, None] * gel).flatten(0, 1), line))
+        blocks.append(block("pulses in single experiments", (masks[:, None] * pulses).flatten(0, 1), line))
+    return blocks
+
+
+def _shape_rows(line: Linearisation) -> Tensor:
+    """``dR/dt``, ``t dR/dt`` and ``d2R/dt2`` of the prediction, by differences between frames; ``3 x N``."""
+    times = line.batch.times
+    slope = torch.stack([torch.gradient(r, spacing=(t,))[0] for r, t in zip(line.prediction, times, strict=True)])
+    bend = torch.stack([torch.gradient(r, spacing=(t,))[0] for r, t in zip(slope, times, strict=True)])
+    return line.whiten(torch.stack((slope, times * slope, bend)))
+
+
+def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapTest:
+    """Test all blocks, and everything at once by chi-square; calibrate the smallest p-value.
+
+    Args:
+        blocks: what to ask for; a block with no direction left is passed over.
+        line: the fit's neighbourhood.
+        seed: of the residuals drawn under the fitted model.
+    """
+    tested = [b for b in blocks if b.directions.shape[1]]
+    freedom = line.residual.shape[0] - line.fitted.shape[1]
+    noise = torch.randn(_BOOTSTRAP, line.residual.shape[0], generator=generator(seed), dtype=torch.float64)
+    drawn = line.project(noise)
+    rows = torch.cat((line.residual[None], drawn))
+    ranks = [b.directions.shape[1] for b in tested] + [freedom]
+    statistics = [(rows @ b.directions).square().sum(1) for b in tested] + [rows.square().sum(1)]
+    logs = torch.stack([_log_survival(s, k) for s, k in zip(statistics, ranks, strict=True)])
+    smallest = logs.amin(0)
+    count = int((smallest[1:] <= smallest[0]).sum())
+    bonferroni = min(1.0, len(ranks) * math.exp(float(smallest[0])))
+    # beyond the bootstrap's reach Bonferroni's bound is the honest figure
+    p_value = (1 + count) / (1 + _BOOTSTRAP) if count else min(bonferroni, 1.0 / (1 + _BOOTSTRAP))
+    threshold = float(smallest[1:].quantile(0.04).exp())
+    results = [
+        BlockResult(
+            name,
+            float(s[0]),
+            k,
+            float(log[0].exp()),
+            _power(size, k, threshold),
+        )
+        for name, size, s, k, log in zip(
+            [*(b.name for b in tested), "everything (chi-square)"],
+            [*(b.size for b in tested), math.nan],
+            statistics,
+            ranks,
+            logs,
+            strict=True,
+        )
+    ]
+    return GapTest(p_value, tuple(sorted(results, key=lambda r: r.p_value)), *_bias(line))
+
+
+def _log_survival(statistic: Tensor, rank: int) -> Tensor:
+    """Log of the upper tail of chi-square."""
+    tail = torch.special.gammaincc(torch.tensor(0.5 * rank, dtype=torch.float64), 0.5 * statistic)
+    # far out the leading term of the asymptotic series keeps the order of the blocks
+    x, a = 0.5 * statistic, 0.5 * rank
+    far = (a - 1.0) * x.clamp_min(1e-300).log() - x - math.lgamma(a)
+    return torch.where(tail > 1e-250, tail.clamp_min(1e-300).log(), far)
+
+
+def _power(size: float, rank: int, level: float) -> float:
+    """Chance that a block of this size in sd is found at a level: normal approximation of noncentral chi-square."""
+    if math.isnan(size):
+        return math.nan
+    from scipy.stats import chi2, ncx2
+
+    return float(ncx2.sf(chi2.isf(level, rank), rank, size**2))
+
+
+def _bias(line: Linearisation) -> tuple[float, float]:
+    """Root mean square of the residual beyond noise: in single-shot sd and in R*."""
+    batch = line.batch
+    residual = torch.where(batch.mask, batch.mean - line.prediction, 0.0)
+    frames = batch.mask.sum()
+    weight = 1.0 / batch.repeats[:, None].sqrt()
+    share = 1.0 - line.fitted.shape[1] / line.residual.shape[0]
+    excess = (residual / line.sd).square().sum() / frames - share * float((weight.square() * batch.mask).sum() / frames)
+    noise = ((line.sd * weight).square() * batch.mask).sum() / frames
+    radius = residual.square().sum() / frames - share * noise
+    return float(excess.clamp_min(0.0).sqrt()), float(radius.clamp_min(0.0).sqrt())

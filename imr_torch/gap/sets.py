@@ -1,0 +1,55 @@
+"""Sets of designs x repeats x frames as one ``.npz`` file: ``time_s``, ``radius_m``, ``we``, ``rinf_star``."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from imr_torch.errors import InputDataError
+from imr_torch.observe import Experiment, Nuisance
+from imr_torch.units import Surroundings
+
+NUISANCE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
+"""How well a careful laboratory knows Rmax, time zero and R_inf of each experiment."""
+
+_SHAPES = {"time_s": 2, "radius_m": 3, "we": 1, "rinf_star": 1}
+
+
+def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: Surroundings | None = None) -> list[Experiment]:
+    """Experiments of a set, one a design.
+
+    Args:
+        path: ``.npz`` with ``time_s`` (designs x frames, s), ``radius_m`` (designs x repeats x frames, m; NaN for a missing
+            frame), ``we`` and ``rinf_star`` (designs, as measured).
+        nuisance: how well the design and the clock of each experiment are known.
+        surroundings: the liquid side; water at 1 atm by default.
+
+    Raises:
+        InputDataError: for a missing array, shapes that do not fit, or a design without a finite frame.
+    """
+    outer = surroundings or Surroundings()
+    with np.load(path, allow_pickle=False) as document:
+        missing = [name for name in _SHAPES if name not in document]
+        if missing:
+            raise InputDataError(f"{path}: no array {missing[0]!r}; a set holds {', '.join(_SHAPES)}.")
+        arrays = {name: np.asarray(document[name], dtype=np.float64) for name in _SHAPES}
+    for name, dimensions in _SHAPES.items():
+        if arrays[name].ndim != dimensions or arrays[name].shape[0] != arrays["we"].shape[0]:
+            raise InputDataError(
+                f"{path}: {name} has shape {arrays[name].shape}; expected {dimensions} dimensions, the first of "
+                f"{arrays['we'].shape[0]} designs."
+            )
+    if arrays["radius_m"].shape[2] != arrays["time_s"].shape[1]:
+        raise InputDataError(f"{path}: radius_m has {arrays['radius_m'].shape[2]} frames, time_s {arrays['time_s'].shape[1]}.")
+    experiments = []
+    for i, (weber, rest) in enumerate(zip(arrays["we"], arrays["rinf_star"], strict=True)):
+        size = outer.max_radius(float(weber))
+        radius = torch.as_tensor(arrays["radius_m"][i]) / size
+        times = torch.as_tensor(arrays["time_s"][i]) / outer.time_scale(size)
+        seen = torch.isfinite(radius).all(0) & torch.isfinite(times)
+        if int(seen.sum()) < 2:
+            raise InputDataError(
+                f"{path}: design {i} has {int(seen.sum())} frames that all repeats saw; at least 2 are needed."
+            )
+        experiments.append(Experiment(f"design {i}", (float(weber), float(rest)), times[seen], radius[:, seen], nuisance))
+    return experiments
