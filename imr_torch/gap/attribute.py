@@ -7,14 +7,14 @@ Stat. 55, 2001) on what an unknown alternative could gain, ``1/(-e p ln p)``.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from imr_torch.assimilate import EnsembleOptions, ModelFit
 from imr_torch.gap.effects import Effect
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.gap.linear import linearise
-from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_blocks
+from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_blocks, promising_starts
 from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
@@ -27,7 +27,7 @@ ADEQUATE = 0.01
 
 _ROUND = 6  # effects refitted together
 _BEHIND = 8.0  # nats by which the best possible evidence of the rest must lag for refitting to stop
-_LOOSE = EnsembleOptions(starts=2, iterations=25)
+_LOOSE = EnsembleOptions(iterations=25, gradient=5e-3)
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,7 @@ class Attribution:
         families: class -> probability, effects that are the same to first order summed.
         winner: name of the best hypothesis beside none.
         adequacy: the gap test at the winner's fit.
+        next_starts: from where a further effect beside the winner would start.
     """
 
     fits: dict[str, ModelFit]
@@ -49,6 +50,7 @@ class Attribution:
     families: dict[str, float]
     winner: str
     adequacy: GapTest
+    next_starts: dict[str, tuple[tuple[float, ...], ...]]
 
     def credible_set(self, level: float = 0.95) -> tuple[str, ...]:
         """The most probable entries of the posterior that together reach a level."""
@@ -66,6 +68,7 @@ def attribute(
     effects: Sequence[Effect],
     null: ModelFit,
     gap: GapTest,
+    starts: Mapping[str, Sequence[Sequence[float]]],
     batch: ExperimentBatch,
     simulator: Simulator,
     *,
@@ -80,29 +83,36 @@ def attribute(
         effects: the library to choose from.
         null: the fit that leaves a gap, from which effects start.
         gap: the gap test at that fit, for the ranking.
+        starts: from which values each effect starts (:func:`imr_torch.gap.score.promising_starts`).
         batch: the data.
         simulator: makes the bubbles.
         seed: of the fits and of the adequacy test.
         with_: effects that are in every hypothesis already (forward selection of a second one).
         progress: called with one line per step.
     """
-    fits = _refit(base, effects, null, gap, batch, simulator, seed=seed, with_=tuple(with_), progress=progress)
+    fits = _refit(base, effects, null, gap, starts, batch, simulator, seed=seed, with_=tuple(with_), progress=progress)
     evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
-    winner = max((name for name in fits if name != "none"), key=evidence.__getitem__)
-    adequacy = adequacy_test(fits[winner], effects, batch, simulator, seed=child(seed, "adequacy"))
+    null_name = Hypothesis(base, tuple(with_)).name
+    winner = max((name for name in fits if name != null_name), key=evidence.__getitem__)
+    adequacy, next_starts = adequacy_test(fits[winner], effects, batch, simulator, seed=child(seed, "adequacy"))
     posterior, families = _weigh(evidence, effects, tuple(with_), adequacy.p_value)
-    return Attribution(fits, evidence, posterior, families, winner, adequacy)
+    return Attribution(fits, evidence, posterior, families, winner, adequacy, next_starts)
 
 
 def adequacy_test(
     fit: ModelFit, effects: Sequence[Effect], batch: ExperimentBatch, simulator: Simulator, *, seed: int
-) -> GapTest:
-    """The gap test at a fit: whether anything is left that the library or the generic blocks can see."""
+) -> tuple[GapTest, dict[str, tuple[tuple[float, ...], ...]]]:
+    """The gap test at a fit: whether anything is left that the library or the generic blocks can see.
+
+    Returns:
+        The test, and from where each effect that the fit does not hold would start.
+    """
     line = linearise(fit, batch, simulator)
     others = [effect for effect in effects if not set(effect.names) & set(fit.prior.names)]
     rows = effect_directions(others, fit, batch, simulator, line)
     blocks = [block(name, directions, line) for name, directions in rows.items()]
-    return gap_test([*blocks, *generic_blocks(fit, batch, simulator, line)], line, seed=seed)
+    starts = {effect.name: promising_starts(effect, rows[effect.name], line) for effect in others}
+    return gap_test([*blocks, *generic_blocks(fit, batch, simulator, line)], line, seed=seed), starts
 
 
 def _refit(
@@ -110,6 +120,7 @@ def _refit(
     effects: Sequence[Effect],
     null: ModelFit,
     gap: GapTest,
+    starts: Mapping[str, Sequence[Sequence[float]]],
     batch: ExperimentBatch,
     simulator: Simulator,
     *,
@@ -130,7 +141,7 @@ def _refit(
         if progress:
             progress(f"attribution: refitting {', '.join(effect.name for effect in leading)}")
         hypotheses = [Hypothesis(base, (*with_, effect)) for effect in leading]
-        found = fit_hypotheses(hypotheses, null, batch, simulator, seed=seed, options=_LOOSE, progress=progress)
+        found = fit_hypotheses(hypotheses, null, batch, simulator, seed=seed, starts=starts, options=_LOOSE, progress=progress)
         fits |= found
         best = max(best, *(laplace_evidence(fit) for fit in found.values()))
     return fits

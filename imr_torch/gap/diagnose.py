@@ -10,11 +10,10 @@ from dataclasses import dataclass, field
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
-from imr_torch.gap.attribute import ADEQUATE, Attribution, attribute
+from imr_torch.gap.attribute import ADEQUATE, Attribution, adequacy_test, attribute
 from imr_torch.gap.effects import LIBRARY, Effect, library
 from imr_torch.gap.hypotheses import Hypothesis, fit_null
-from imr_torch.gap.linear import linearise
-from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_blocks
+from imr_torch.gap.score import GapTest
 from imr_torch.material import ModelBelief, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import child
@@ -91,10 +90,7 @@ def diagnose(
     simulator = simulator or TransportSimulator()
     batch = ExperimentBatch(tuple(experiments), noise or Noise())
     null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
-    line = linearise(null, batch, simulator)
-    rows = effect_directions(effects, null, batch, simulator, line)
-    blocks = [block(name, directions, line) for name, directions in rows.items()]
-    gap = gap_test([*blocks, *generic_blocks(null, batch, simulator, line)], line, seed=child(seed, "gap"))
+    gap, starts = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
     if progress:
         progress(f"gap test: p = {gap.p_value:.2g}, leading block {gap.blocks[0].name}")
 
@@ -105,10 +101,10 @@ def diagnose(
         return report("undecided", (), f"The base model's fit did not converge: {null.certificate}.")
     if not gap.found:
         return report("none", (), "No block of the gap test rejects the base model.")
-    return _decide(base, effects, null, gap, batch, simulator, most, seed, progress, report)
+    return _decide(base, effects, null, gap, starts, batch, simulator, most, seed, progress, report)
 
 
-def _decide(base, effects, null, gap, batch, simulator, most, seed, progress, report) -> GapReport:
+def _decide(base, effects, null, gap, starts, batch, simulator, most, seed, progress, report) -> GapReport:
     """Select effects one after the other until one is adequate; name it, its class, or nobody."""
     chosen: tuple[Effect, ...] = ()
     fit, test = null, gap
@@ -116,14 +112,23 @@ def _decide(base, effects, null, gap, batch, simulator, most, seed, progress, re
     for step in range(most):
         left = tuple(e for e in effects if not set(e.names) & {n for c in chosen for n in c.names})
         found = attribute(
-            base, left, fit, test, batch, simulator, seed=child(seed, "attribute", step), with_=chosen, progress=progress
+            base,
+            left,
+            fit,
+            test,
+            starts,
+            batch,
+            simulator,
+            seed=child(seed, "attribute", step),
+            with_=chosen,
+            progress=progress,
         )
         if step and found.log_evidence[found.winner] < found.log_evidence[Hypothesis(base, chosen).name] + 3.0:
             break  # a further effect that explains nothing is none
         first = first or found
         winner = found.winner.split("+")[-1]
         chosen = (*chosen, next(e for e in left if e.name == winner))
-        fit, test = found.fits[found.winner], found.adequacy
+        fit, test, starts = found.fits[found.winner], found.adequacy, found.next_starts
         if test.p_value >= ADEQUATE:
             return _name(chosen, found, report)
     assert first is not None

@@ -4,18 +4,24 @@ A hypothesis is the base model's prior with the effects' priors beside it, so ev
 models does so for causes. Fits of effects start at the null fit, with the effect at each of its starts.
 """
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate
+from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap.effects import Effect
 from imr_torch.material import PARAMETERS, Belief, Marginal, ModelBelief
 from imr_torch.observe import ExperimentBatch
-from imr_torch.simulate import Simulator
+from imr_torch.random import child, generator
+from imr_torch.simulate import PolytropicSimulator, Simulator
 from imr_torch.types import Progress
+
+_ROUGH = EnsembleOptions(gradient=1e-2, starts=2)
+_APART = 0.3  # prior standard deviations between the starts of the null fit
 
 
 @dataclass(frozen=True)
@@ -55,14 +61,18 @@ class Hypothesis:
         key = "+".join((self.base.model, *self.extra))
         return ModelBelief(key, tuple(priors[name] for name in names), mean, chol, self.base.known)
 
-    def starts(self, null: ModelFit) -> Tensor:
-        """``S x d`` controls ``v``: the null fit's, with the last effect at each of its starts, the others at their first."""
+    def starts(self, null: ModelFit, of_last: Sequence[Sequence[float]] | None = None) -> Tensor:
+        """``S x d`` controls ``v``: those of a fit without the last effect, and that at each of some values.
+
+        Args:
+            null: the fit; what it holds of the other effects is kept.
+            of_last: values of the last effect's parameters; its own starts by default.
+        """
         belief = self.belief
         last = self.effects[-1]
         rows = []
-        for start in last.starts:
-            values = {name: effect.starts[0][i] for effect in self.effects for i, name in enumerate(effect.names)}
-            values |= dict(zip(last.names, start, strict=True))
+        for start in of_last or last.starts:
+            values = dict(zip(last.names, start, strict=True))
             row = torch.zeros(len(belief.names), dtype=torch.float64)
             for i, (name, marginal) in enumerate(zip(belief.names, belief.marginals, strict=True)):
                 if name in values:
@@ -76,9 +86,21 @@ class Hypothesis:
 def fit_null(
     base: ModelBelief, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None = None
 ) -> ModelFit:
-    """The base model with nuisances, from several starts, with its certificate."""
+    """The base model with nuisances, from several starts, with its certificate.
+
+    The search begins with polytropic bubbles, which are far cheaper; the simulator's own fits start from their best and from
+    perturbed copies of it.
+    """
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
-    return assimilate(belief, batch, simulator, seed=seed, progress=progress).fits[0]
+    if isinstance(simulator, PolytropicSimulator):
+        return assimilate(belief, batch, simulator, seed=seed, progress=progress).fits[0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        rough = assimilate(belief, batch, PolytropicSimulator(simulator.conditions), seed=seed, options=_ROUGH).fits[0]
+    spread = _APART * torch.randn(2, len(rough.mean), generator=generator(child(seed, "null")), dtype=torch.float64)
+    starts = torch.cat((rough.mean[None], rough.mean + spread[:1]))
+    options = EnsembleOptions(starts=len(starts))
+    return assimilate(belief, batch, simulator, seed=seed, options=options, starts=[starts], progress=progress).fits[0]
 
 
 def fit_hypotheses(
@@ -88,20 +110,32 @@ def fit_hypotheses(
     simulator: Simulator,
     *,
     seed: int,
+    starts: Mapping[str, Sequence[Sequence[float]]] | None = None,
     options: EnsembleOptions | None = None,
     progress: Progress | None = None,
 ) -> dict[str, ModelFit]:
     """Fit hypotheses from the null fit; those of one size and as many starts are fitted in one batch.
 
+    Args:
+        hypotheses: what to fit.
+        null: the fit without each one's last effect.
+        batch: the data.
+        simulator: makes the bubbles.
+        seed: of the search.
+        starts: name of a last effect -> values from which to start it; its own starts where not given.
+        options: how to search; ``starts`` is set by the number of starts.
+        progress: called with one line per iteration.
+
     Returns:
         Name of the hypothesis -> fit.
     """
-    groups: dict[tuple[int, int], list[Hypothesis]] = {}
+    groups: dict[tuple[int, int], list[tuple[Hypothesis, Tensor]]] = {}
     for hypothesis in hypotheses:
-        shape = tuple(hypothesis.starts(null).shape)
-        groups.setdefault((shape[0], shape[1]), []).append(hypothesis)
+        rows = hypothesis.starts(null, (starts or {}).get(hypothesis.effects[-1].name))
+        groups.setdefault((rows.shape[0], rows.shape[1]), []).append((hypothesis, rows))
     fits: dict[str, ModelFit] = {}
-    for (count, _), members in groups.items():
+    for (count, _), pairs in groups.items():
+        members = [hypothesis for hypothesis, _ in pairs]
         beliefs = tuple(h.belief for h in members)
         belief = Belief(beliefs, torch.zeros(len(beliefs), dtype=torch.float64))
         found = assimilate(
@@ -110,7 +144,7 @@ def fit_hypotheses(
             simulator,
             seed=seed,
             options=replace(options or EnsembleOptions(), starts=count),
-            starts=[h.starts(null) for h in members],
+            starts=[rows for _, rows in pairs],
             progress=progress,
         )
         fits |= {h.name: fit for h, fit in zip(members, found.fits, strict=True)}

@@ -91,6 +91,31 @@ def effect_directions(
     }
 
 
+def promising_starts(effect: Effect, rows: Tensor, line: Linearisation, count: int = 2) -> tuple[tuple[float, ...], ...]:
+    """The starts of an effect that the residual asks for most, with the amplitude that it asks for to first order.
+
+    Args:
+        effect: the effect.
+        rows: ``S x N`` tensor from :func:`effect_directions`; empty if no start could be simulated.
+        line: the fit's neighbourhood.
+        count: how many starts to return; where fewer are promising, the best one at smaller amplitudes fills up.
+    """
+    left = line.project(rows)
+    square = left.square().sum(1).clamp_min(1e-300)
+    amplitude = (left @ line.residual) / square
+    gain = amplitude.clamp_min(0.0) * amplitude * square
+    order = [i for i in torch.argsort(-gain).tolist() if float(gain[i]) > 0.0][:count] or [0]
+    starts = []
+    for i in order:
+        first, *others = effect.starts[i]
+        scale = min(max(float(amplitude[i]), 0.2), 2.0) if len(rows) else 0.2
+        starts.append((first * scale, *others))
+    while len(starts) < count:
+        first, *others = starts[0]
+        starts.append((first * 0.5 ** len(starts), *others))
+    return tuple(starts)
+
+
 def block(name: str, rows: Tensor, line: Linearisation) -> Block:
     """A block from whitened directions ``k x N``: projected, then reduced to an orthonormal set."""
     left = line.project(rows)

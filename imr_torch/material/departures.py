@@ -65,6 +65,7 @@ class YieldStress:
 
     names: ClassVar[tuple[str, ...]] = ("yield_stress",)
     switch: ClassVar[str] = "yield_stress"
+    analytic: ClassVar[bool] = True
 
     def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
         """See :class:`imr_torch.material.stress.StressTerm`."""

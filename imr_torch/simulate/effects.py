@@ -9,6 +9,7 @@ nothing, exactly. Terms of the gel's stress are in :mod:`imr_torch.material`; er
 from collections.abc import Mapping
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 
 from imr_torch.material import PARAMETERS, Parameter, Stress, register_term
@@ -39,18 +40,22 @@ PULSE_WIDTH = _effect("pulse_width", "log of its width, in Rmax/U_c", -6.0, 3.0)
 class EnergyLoss:
     """Energy that leaves into shape modes as the bubble shrinks below rest: ``-zeta U|U| R_inf^2/(R^2 + R_inf^2)``.
 
-    A closure for what a spherical model cannot have; not a stress of the gel, but it acts at the wall like one.
+    A closure for what a spherical model cannot have; not a stress of the gel, but it acts at the wall like one. ``|U|`` is
+    rounded off below a velocity of .02.
     """
 
     names: ClassVar[tuple[str, ...]] = ("energy_loss",)
     switch: ClassVar[str] = "energy_loss"
+    analytic: ClassVar[bool] = True
 
     def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
         """See :class:`imr_torch.material.StressTerm`."""
         total = radius * radius + rest_radius * rest_radius
         share = theta["energy_loss"] * rest_radius * rest_radius / total
-        value = -share * velocity * velocity.abs()
-        return Stress(value, -2.0 * value * radius * velocity / total, -2.0 * share * velocity.abs())
+        square = velocity * velocity
+        speed = torch.sqrt(square + 0.02**2)
+        value = -share * velocity * speed
+        return Stress(value, -2.0 * value * radius * velocity / total, -share * (square / speed + speed))
 
 
 register_term(EnergyLoss())
