@@ -67,14 +67,14 @@ def test_that_the_default_accuracy_gives_them_to_two_percent() -> None:
 
 
 def test_that_polytropic_ones_are_those_of_autograd() -> None:
-    parameters, designs = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48})[None], gels(1)[1]
-    simulator = PolytropicSimulator()
-    _, jacobian = sensitivities(simulator, parameters[0], designs[0], TIMES)
+    gel, shot, times = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48}), gels(1)[1][0], TIMES[::4]
+    simulator, columns = PolytropicSimulator(), torch.tensor(PARAMETERS.index(NAMES[:3]))
+    _, jacobian = sensitivities(simulator, gel, shot, times, names=NAMES)
 
-    def radius(parameters: Tensor, designs: Tensor) -> Tensor:
-        return simulator(parameters, designs, TIMES).radius
+    def radius(values: Tensor, design: Tensor) -> Tensor:
+        return simulator(gel.index_copy(0, columns, values), design, times).radius
 
-    by_gel, by_design = torch.autograd.functional.jacobian(radius, (parameters[0], designs[0]))  # pyright: ignore
+    by_gel, by_design = torch.autograd.functional.jacobian(radius, (gel[columns], shot))  # pyright: ignore
     assert relative(jacobian, torch.cat((by_gel, by_design), 1)) < 1e-5
 
 
@@ -139,7 +139,7 @@ def test_that_an_entry_at_its_bound_is_differentiated_inwards(simulator: Simulat
     parameters, shot = PARAMETERS.pack(values), torch.tensor(design, dtype=torch.float64)
     times = TIMES[:12]
     solution, jacobian = sensitivities(simulator, parameters, shot, times, names=(name,))
-    column = [*PARAMETERS.names, *DESIGN].index(name)
+    column = (*PARAMETERS.names, *DESIGN).index(name)
     both = torch.cat((parameters, shot)).expand(2, -1).clone()
     sign = -1.0 if name == "rest_radius" or both[0, column] >= 1e7 else 1.0
     move = sign * 1e-4 * max(float(both[0, column]), 1e2 if name == "G" else 0.1)
@@ -182,10 +182,22 @@ def test_that_gradients_are_the_sensitivities() -> None:
     weights = torch.randn(2, len(TIMES), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     gradients = torch.autograd.grad((FAST(given[0], given[1], given[2]).radius * weights).sum(), given)
     solution, jacobian = sensitivities(FAST, parameters, designs, TIMES)
-    columns = (weights[..., None] * jacobian).sum(1)
+    columns = (weights[..., None] * jacobian).sum(1).nan_to_num()  # time scales of 0
     torch.testing.assert_close(gradients[0], columns[:, : len(PARAMETERS)], rtol=1e-5, atol=1e-8)
     torch.testing.assert_close(gradients[1], columns[:, len(PARAMETERS) :], rtol=1e-5, atol=1e-8)
     torch.testing.assert_close(gradients[2], (weights * solution.velocity).sum(0))
+
+
+def test_that_a_relaxation_time_has_a_sensitivity_where_it_is_not_zero() -> None:
+    gel, shot = PARAMETERS.pack({"G": 3e3, "mu": 0.1, "tau": torch.tensor([0.0, 2e-6], dtype=torch.float64)}), gels(1)[1]
+    _, jacobian = sensitivities(FAST, gel, shot, TIMES, names=("tau", "mu"))
+    assert bool(torch.isnan(jacobian[0, :, 0]).all())
+    assert bool(torch.isfinite(jacobian[..., 1]).all())
+    column = PARAMETERS.index(["tau"])[0]
+    sides = gel[1].repeat(3, 1)
+    sides[1:, column] += torch.tensor([1e-9, -1e-9], dtype=torch.float64)
+    radius = FAST.bundle(sides, shot, TIMES).radius
+    assert relative(jacobian[1, :, :1], ((radius[1] - radius[2]) / 2e-9)[:, None]) < 1e-3
 
 
 def test_that_the_derivative_over_time_is_the_slope_of_the_output() -> None:
