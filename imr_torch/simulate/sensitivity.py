@@ -129,7 +129,8 @@ class _Radius(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, gradient: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        gradient = gradients[0]  # of the radius, the only output that has one
         jacobian, velocity = ctx.saved_tensors
         asked = gradient != 0.0  # the derivatives of failed members are NaN, and count only if asked for
         columns = torch.where(asked[..., None], gradient[..., None] * jacobian, 0.0).sum(1)

@@ -159,6 +159,21 @@ def test_that_a_bubble_that_fails_has_no_sensitivities_and_leaves_the_others_alo
     assert bool(torch.isnan(jacobian[1, -1]).all())
 
 
+@pytest.mark.parametrize("simulator", SIMULATORS)
+def test_that_followers_that_fail_or_fall_behind_leave_their_leader_alone(simulator: Simulator) -> None:
+    gel = PARAMETERS.pack({"G": 3e3, "mu": torch.tensor([0.1, 0.1, 5.0, 0.101], dtype=torch.float64)})
+    gel[1, PARAMETERS.index(["G"])] = torch.nan
+    shot = torch.tensor([500.0, 0.2], dtype=torch.float64)
+    bundle, alone = simulator.bundle(gel, shot, TIMES), simulator(gel[[0, 2, 3]], shot, TIMES)
+    assert bundle.status.tolist() == [Status.DONE] * 4
+    torch.testing.assert_close(bundle.radius[0], alone.radius[0], rtol=1e-9, atol=1e-9)
+    assert bool(torch.isnan(bundle.radius[1, 1:]).all())
+    for i, row in enumerate(alone.radius[1:], start=2):
+        there = torch.isfinite(bundle.radius[i])
+        torch.testing.assert_close(bundle.radius[i, there], row[there], rtol=0.0, atol=5e-3)
+    assert bool(torch.isfinite(bundle.radius[3]).all())
+
+
 def test_that_a_leader_saved_by_a_finer_step_takes_its_followers_along() -> None:
     """A bubble that fails at its first step: a follower at another step than its leader would show as noise."""
     parameters, designs = PARAMETERS.neutral(), torch.tensor([1000.0, 0.05], dtype=torch.float64)
