@@ -47,7 +47,8 @@ def sensitivities(
 
     Returns:
         The solution, and a ``batch_shape x n_t x k`` tensor: dR* per unit (SI) of each entry. At its upper bound an entry
-        is differentiated from below. Where the solve failed, NaN.
+        is differentiated from below. NaN where the solve failed, and for time scales of the gel that are 0: a gel that
+        forgets at once is a singular limit, and what a relaxation time does shows in finite steps only.
 
     Raises:
         ShapeError: if shapes do not fit.
@@ -64,7 +65,7 @@ def sensitivities(
             bundles[:, row, column] = moved[:, column]
         gels, shots = bundles.split((len(PARAMETERS), len(DESIGN)), -1)
         result = simulator.bundle(gels, shots, times[:, None])
-        increments = (moved - values)[:, columns]
+        increments = torch.where(_singular(values), torch.nan, moved - values)[:, columns]
         jacobian = (result.radius[:, 1:] - result.radius[:, :1]) / increments[..., None]
     leaders = {name: value[:, 0].reshape((*shape, *value.shape[2:])) for name, value in vars(result).items()}
     return Solution(**leaders), jacobian.mT.reshape(*shape, times.shape[-1], len(columns))
@@ -87,14 +88,21 @@ def _moved(values: Tensor, surroundings: Surroundings) -> Tensor:
     floor = torch.cat((_SMALL / torch.stack(list(scales.values()), 1), torch.zeros_like(designs)), 1)
     increment = max(_INCREMENT, torch.finfo(values.dtype).eps ** 0.5) * torch.maximum(values.abs(), floor)
     upper = values.new_tensor([entry.upper for entry in PARAMETERS] + [torch.inf, 1.0])
-    return torch.where(values + increment < upper, values + increment, values - increment)
+    moved = torch.where(values + increment < upper, values + increment, values - increment)
+    return torch.where(_singular(values), values, moved)
+
+
+def _singular(values: Tensor) -> Tensor:
+    """Which of parameters and design side by side, ``B x (p + 2)``, are time scales of 0."""
+    times = [entry.dimension == "time" for entry in PARAMETERS] + [False] * len(DESIGN)
+    return torch.tensor(times, device=values.device) & (values == 0.0)
 
 
 def differentiable(simulator: Simulator, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
     """A solution whose radii carry gradients, by :func:`sensitivities`; arguments as there.
 
     All parameters are differentiated if ``parameters`` requires a gradient, both entries of the design if ``designs``
-    does; time costs nothing. Velocity and pressure carry no gradient.
+    does; time costs nothing. Time scales of 0 have a gradient of 0. Velocity and pressure carry no gradient.
     """
     shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
     radius, *others = _Radius.apply(simulator, parameters, designs, times)
@@ -110,6 +118,9 @@ class _Radius(torch.autograd.Function):
         by_gel, by_design = ctx.needs_input_grad[1:3]
         names = (*(PARAMETERS.names if by_gel else ()), *(DESIGN if by_design else ()))
         solution, jacobian = sensitivities(simulator, parameters, designs, times, names=names)
+        if by_gel:
+            gels = torch.cat((parameters, designs.to(parameters)), 1)
+            jacobian = torch.where(_singular(gels)[:, None, : len(names)], 0.0, jacobian)
         others = (solution.velocity, solution.bubble_pressure, solution.status, solution.steps)
         ctx.mark_non_differentiable(*others)
         ctx.save_for_backward(jacobian, solution.velocity)
@@ -118,7 +129,8 @@ class _Radius(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, gradient: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        gradient = gradients[0]  # of the radius, the only output that has one
         jacobian, velocity = ctx.saved_tensors
         asked = gradient != 0.0  # the derivatives of failed members are NaN, and count only if asked for
         columns = torch.where(asked[..., None], gradient[..., None] * jacobian, 0.0).sum(1)

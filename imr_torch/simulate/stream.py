@@ -26,6 +26,7 @@ _RUNAWAY = 3.0
 _RUNNING = -1
 _RECORDED = 6  # t, R, U, U', ln P, d ln P/dt
 _REST = 0.3  # keeps the time scale finite where nothing moves
+_PATIENCE = 1.1  # a leader goes on beyond its last time, by so much at most, until its followers arrive
 _IDLE = 16  # slots are refilled once one in so many is idle: refilling gathers everything
 
 
@@ -44,11 +45,11 @@ class Path:
     status: Tensor
 
     def at(self, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Radius, velocity and pressure at ``times`` (``B x n_t``); NaN where a failed member did not get."""
+        """Radius, velocity and pressure at ``times`` (``B x n_t``); NaN where a member did not get."""
         nodes = self.nodes
         radius, velocity = interpolate(nodes[0], nodes[1], nodes[2], nodes[3], times)
         pressure = torch.exp(_cubic(nodes[0], nodes[4], nodes[5], times))
-        known = (self.status == Status.DONE)[:, None] | (times <= nodes[0, :, -1:])
+        known = times <= nodes[0, :, -1:]
         return tuple(torch.where(known, values, torch.nan) for values in (radius, velocity, pressure))  # pyright: ignore
 
 
@@ -162,8 +163,9 @@ class Stream:
         verdict[stuck] = int(Status.STEP_UNDERFLOW)
         verdict[stuck & ~finite] = int(Status.NON_FINITE)
         verdict[radius > _RUNAWAY] = int(Status.RUNAWAY)
-        slowest = self._time.unflatten(0, (-1, self._width)).amin(1)
-        verdict[slowest >= self._last[self._bundle]] = int(Status.DONE)
+        last = self._last[self._bundle]
+        behind = (self._time < self._each(last)).unflatten(0, (-1, self._width)).any(1)  # a follower that failed is not
+        verdict[~behind | (time >= _PATIENCE * last) & (time >= last)] = int(Status.DONE)
         leaving = self._running & (verdict != _RUNNING)
         self._status[self._bundle] = torch.where(leaving, verdict, self._status[self._bundle])
         self._count[self._bundle] += leaving.long()

@@ -2,7 +2,7 @@
 
 import copy
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
@@ -12,7 +12,7 @@ from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimi
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, InputDataError
 from imr_torch.material import PARAMETERS, Belief, TruncatedNormal
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory, predict
-from imr_torch.simulate import PolytropicSimulator
+from imr_torch.simulate import PolytropicSimulator, Solution
 from tests.linear import CORRELATED, MEANS, MODELS, NOISE, SDS, Exact, LinearSimulator, exact, experiments, prior, tensor
 
 OPTIONS = EnsembleOptions(scouts=24)
@@ -182,6 +182,38 @@ def test_that_progress_is_told_once_per_iteration() -> None:
     assimilate(prior(), experiments(2), LinearSimulator(), seed=0, options=OPTIONS, progress=lines.append)
     assert len(lines) >= 2
     assert all(f"iteration {i + 1}," in line and "gen_qkv cost" in line for i, line in enumerate(lines))
+
+
+@dataclass(frozen=True)
+class JitterySimulator(LinearSimulator):
+    """Linear but for an integration error that jumps from gel to gel; in a bundle it is the leader's, if ``lock_step``."""
+
+    lock_step: bool = True
+
+    def jitter(self, parameters: Tensor, times: Tensor) -> Tensor:
+        phase = 1e7 * (parameters / tensor(*[SDS.get(name, 1.0) for name in PARAMETERS.names])).sum(-1, keepdim=True)
+        return 1e-3 * torch.sin(phase + 5.0 * times)
+
+    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        solution = super().__call__(parameters, designs, times)
+        return replace(solution, radius=solution.radius + self.jitter(parameters, times))
+
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        if not self.lock_step:
+            return self(parameters, designs, times)
+        solution = super().__call__(parameters, designs, times)
+        return replace(solution, radius=solution.radius + self.jitter(parameters[..., :1, :], times))
+
+
+def test_that_an_integration_error_that_jumps_does_not_keep_a_fit_from_converging() -> None:
+    belief, batch = prior(("nhkv",)), experiments(3, nuisance=CLOCK)
+    fit = fitted(belief, batch, JitterySimulator()).fits[0]
+    assert fit.certificate.converged
+    assert fit.certificate.agreement < 1e-6
+    truth = exact(belief.models[0], batch)
+    assert float(((fit.mean - truth.mean).abs() / truth.covariance.diagonal().sqrt()).max()) < 0.1
+    with pytest.warns(ConvergenceWarning):
+        assert not fitted(belief, batch, JitterySimulator(lock_step=False), options=replace(OPTIONS, spread=0.1)).converged
 
 
 # ---------------------------------------------------------------- certificates, both ways

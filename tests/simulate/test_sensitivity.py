@@ -67,14 +67,14 @@ def test_that_the_default_accuracy_gives_them_to_two_percent() -> None:
 
 
 def test_that_polytropic_ones_are_those_of_autograd() -> None:
-    parameters, designs = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48})[None], gels(1)[1]
-    simulator = PolytropicSimulator()
-    _, jacobian = sensitivities(simulator, parameters[0], designs[0], TIMES)
+    gel, shot, times = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48}), gels(1)[1][0], TIMES[::4]
+    simulator, columns = PolytropicSimulator(), torch.tensor(PARAMETERS.index(NAMES[:3]))
+    _, jacobian = sensitivities(simulator, gel, shot, times, names=NAMES)
 
-    def radius(parameters: Tensor, designs: Tensor) -> Tensor:
-        return simulator(parameters, designs, TIMES).radius
+    def radius(values: Tensor, design: Tensor) -> Tensor:
+        return simulator(gel.index_copy(0, columns, values), design, times).radius
 
-    by_gel, by_design = torch.autograd.functional.jacobian(radius, (parameters[0], designs[0]))  # pyright: ignore
+    by_gel, by_design = torch.autograd.functional.jacobian(radius, (gel[columns], shot))  # pyright: ignore
     assert relative(jacobian, torch.cat((by_gel, by_design), 1)) < 1e-5
 
 
@@ -122,6 +122,17 @@ def test_that_members_of_a_bundle_differ_smoothly_and_separate_solves_do_not() -
     assert roughness(simulator(line, designs, TIMES).radius) > 3e-2
 
 
+def test_that_frames_before_the_maximum_are_as_smooth_as_the_others() -> None:
+    """The first step is tiny; a polynomial through it would carry its rounding errors to the thirtyfold of it and more."""
+    parameters, designs = gels(1)
+    line = parameters.repeat(21, 1)
+    line[:, 1] *= torch.linspace(1.0, 1.01, 21, dtype=torch.float64)
+    radius = FAST.bundle(line, designs, torch.linspace(-0.04, 0.04, 9, dtype=torch.float64)).radius
+    assert float(torch.diff(radius, n=2, dim=0).abs().max()) < 1e-12
+    assert bool((torch.diff(radius[:, :5]) > 0.0).all())
+    assert float((radius - radius.flip(1)).abs().max()) < 1e-4  # the maximum is nearly symmetric
+
+
 @pytest.mark.parametrize("simulator", SIMULATORS)
 @pytest.mark.parametrize(
     ("values", "design", "name"),
@@ -139,7 +150,7 @@ def test_that_an_entry_at_its_bound_is_differentiated_inwards(simulator: Simulat
     parameters, shot = PARAMETERS.pack(values), torch.tensor(design, dtype=torch.float64)
     times = TIMES[:12]
     solution, jacobian = sensitivities(simulator, parameters, shot, times, names=(name,))
-    column = [*PARAMETERS.names, *DESIGN].index(name)
+    column = (*PARAMETERS.names, *DESIGN).index(name)
     both = torch.cat((parameters, shot)).expand(2, -1).clone()
     sign = -1.0 if name == "rest_radius" or both[0, column] >= 1e7 else 1.0
     move = sign * 1e-4 * max(float(both[0, column]), 1e2 if name == "G" else 0.1)
@@ -157,6 +168,21 @@ def test_that_a_bubble_that_fails_has_no_sensitivities_and_leaves_the_others_alo
     assert solution.status.tolist() == [Status.DONE, Status.TOO_MANY_STEPS]
     assert bool(torch.isfinite(jacobian[0]).all())
     assert bool(torch.isnan(jacobian[1, -1]).all())
+
+
+@pytest.mark.parametrize("simulator", SIMULATORS)
+def test_that_followers_that_fail_or_fall_behind_leave_their_leader_alone(simulator: Simulator) -> None:
+    gel = PARAMETERS.pack({"G": 3e3, "mu": torch.tensor([0.1, 0.1, 5.0, 0.101], dtype=torch.float64)})
+    gel[1, PARAMETERS.index(["G"])] = torch.nan
+    shot = torch.tensor([500.0, 0.2], dtype=torch.float64)
+    bundle, alone = simulator.bundle(gel, shot, TIMES), simulator(gel[[0, 2, 3]], shot, TIMES)
+    assert bundle.status.tolist() == [Status.DONE] * 4
+    torch.testing.assert_close(bundle.radius[0], alone.radius[0], rtol=1e-9, atol=1e-9)
+    assert bool(torch.isnan(bundle.radius[1, 1:]).all())
+    for i, row in enumerate(alone.radius[1:], start=2):
+        there = torch.isfinite(bundle.radius[i])
+        torch.testing.assert_close(bundle.radius[i, there], row[there], rtol=0.0, atol=5e-3)
+    assert bool(torch.isfinite(bundle.radius[3]).all())
 
 
 def test_that_a_leader_saved_by_a_finer_step_takes_its_followers_along() -> None:
@@ -182,10 +208,22 @@ def test_that_gradients_are_the_sensitivities() -> None:
     weights = torch.randn(2, len(TIMES), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     gradients = torch.autograd.grad((FAST(given[0], given[1], given[2]).radius * weights).sum(), given)
     solution, jacobian = sensitivities(FAST, parameters, designs, TIMES)
-    columns = (weights[..., None] * jacobian).sum(1)
+    columns = (weights[..., None] * jacobian).sum(1).nan_to_num()  # time scales of 0
     torch.testing.assert_close(gradients[0], columns[:, : len(PARAMETERS)], rtol=1e-5, atol=1e-8)
     torch.testing.assert_close(gradients[1], columns[:, len(PARAMETERS) :], rtol=1e-5, atol=1e-8)
     torch.testing.assert_close(gradients[2], (weights * solution.velocity).sum(0))
+
+
+def test_that_a_relaxation_time_has_a_sensitivity_where_it_is_not_zero() -> None:
+    gel, shot = PARAMETERS.pack({"G": 3e3, "mu": 0.1, "tau": torch.tensor([0.0, 2e-6], dtype=torch.float64)}), gels(1)[1]
+    _, jacobian = sensitivities(FAST, gel, shot, TIMES, names=("tau", "mu"))
+    assert bool(torch.isnan(jacobian[0, :, 0]).all())
+    assert bool(torch.isfinite(jacobian[..., 1]).all())
+    column = PARAMETERS.index(["tau"])[0]
+    sides = gel[1].repeat(3, 1)
+    sides[1:, column] += torch.tensor([1e-9, -1e-9], dtype=torch.float64)
+    radius = FAST.bundle(sides, shot, TIMES).radius
+    assert relative(jacobian[1, :, :1], ((radius[1] - radius[2]) / 2e-9)[:, None]) < 1e-3
 
 
 def test_that_the_derivative_over_time_is_the_slope_of_the_output() -> None:
