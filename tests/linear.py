@@ -45,7 +45,7 @@ class LinearSimulator:
         """``... x frames x p`` for ``...`` Weber numbers."""
         k = torch.arange(frames, dtype=torch.float64)[:, None]
         j = torch.arange(len(PARAMETERS), dtype=torch.float64)
-        units = tensor(*[self.units[name] for name in PARAMETERS.names])
+        units = tensor(*[self.units.get(name, 1.0) for name in PARAMETERS.names])
         return 0.1 * torch.cos((0.5 + 0.4 * j) * k + 0.003 * weber[..., None, None] + j) / units
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
