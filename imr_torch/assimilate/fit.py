@@ -6,7 +6,6 @@ drawn it, says whether the Gaussian about the optimum is a fair picture of the p
 
 from dataclasses import dataclass
 from enum import Enum
-from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -51,7 +50,8 @@ class Verdict(Enum):
     REFUSED = "NOT TO BE TRUSTED"
 
 
-_DIFFERENT = 0.05  # nats from the Gaussian to the weighed moments: a mean a third of an sd off, or sds 20 % off
+_SAME = 0.05  # nats between Gaussians: a mean a third of an sd off, or an sd 20 % off
+_AGAIN = 0.1  # the same between two rounds, each with its error
 
 
 @dataclass(frozen=True)
@@ -98,29 +98,15 @@ class ModelFit:
         covariance = self.prior.chol @ covariance @ self.prior.chol.mT
         return self.prior.with_gaussian(self.prior.mean + self.prior.chol @ mean, torch.linalg.cholesky(covariance))
 
-    @cached_property
-    def discrepancy(self) -> float:
-        """Kullback-Leibler divergence of the Gaussian from the weighed moments, nats, less what Monte Carlo error makes.
-
-        NaN without a sample. Of ``n`` effective draws the error makes ``d (d + 3)/(4 n)`` on average: half a chi-square
-        of as many degrees of freedom as there are moments, over ``n``.
-        """
-        if self.sample is None:
-            return torch.nan
-        size, sample = len(self.mean), self.sample
-        shift = torch.linalg.solve_triangular(self.chol, (sample.mean - self.mean)[:, None], upper=False)
-        root = torch.linalg.solve_triangular(self.chol, torch.linalg.cholesky(sample.covariance), upper=False)
-        divergence = 0.5 * (shift.square().sum() + root.square().sum() - size) - root.diagonal().log().sum()
-        return float(divergence) - size * (size + 3) / (4.0 * sample.effective_samples)
-
     @property
     def verdict(self) -> Verdict:
-        """Whether the Gaussian answer stands."""
-        if self.sample is None:
+        """Whether the Gaussian answer stands: its moments are those found by weighing; or else were found twice over."""
+        sample = self.sample
+        if sample is None:
             return Verdict.UNCHECKED
-        if not self.sample.reliable:
-            return Verdict.REFUSED
-        return Verdict.TRUSTED if self.sample.rounds == 1 and self.discrepancy < _DIFFERENT else Verdict.REPAIRED
+        if sample.reliable and sample.divergence(self.mean, self.chol) < _SAME:
+            return Verdict.TRUSTED
+        return Verdict.REPAIRED if sample.reliable and sample.surprise < _AGAIN else Verdict.REFUSED
 
     @property
     def trust(self) -> str:

@@ -2,8 +2,8 @@
 
 Draws ``v`` of a heavy-tailed proposal are weighed by the exact posterior; the tail of the weights is smoothed by a
 generalised Pareto distribution, whose shape ``k`` says whether the weights have a mean worth the name (Vehtari, Simpson,
-Gelman, Yao & Gabry, JMLR 25(72), 2024). Where they have not, the proposal is made anew from the weighed draws as a mixture
-of kernels (West, JRSS B 55, 1993), and all draws are weighed by the mixture of all proposals (Owen & Zhou, JASA 95, 2000).
+Gelman, Yao & Gabry, JMLR 25(72), 2024). Where they have not, a proposal is made anew from the draws so far as a mixture of
+kernels (West, JRSS B 55, 1993), with all of them weighed by the mixture of their proposals (Owen & Zhou, JASA 95, 2000).
 """
 
 import math
@@ -11,47 +11,59 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
 _FREEDOM = 7  # degrees of freedom of the kernels: tails heavier than a Gaussian's, with moments up to the sixth
 _ENOUGH = 20.0  # effective samples, and a tenth of all, below which no estimate is leant on
+_WATCH = 0.25  # share of the wide kernel in a proposal made from draws
+_WIDE = 1.5  # its size, in standard deviations of the draws
+_WIDEST = 4.0  # most by which kernels are widened in one round
 _SHORTEST_TAIL = 5  # weights to which a generalised Pareto distribution can be fitted
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A mixture of multivariate Student-t kernels of one shape.
+    """A mixture of multivariate Student-t kernels of one shape and several sizes.
 
     Args:
         centres: ``J x d`` tensor.
         weights: ``J`` tensor of their probabilities.
-        chol: ``d x d`` lower triangular tensor, the scale of every kernel.
+        sizes: ``J`` tensor of factors on the scale.
+        chol: ``d x d`` lower triangular tensor, the common scale.
     """
 
     centres: Tensor
     weights: Tensor
+    sizes: Tensor
     chol: Tensor
 
     @classmethod
     def about(cls, mean: Tensor, chol: Tensor) -> "Proposal":
         """A single kernel about ``mean`` (``d``) with scale ``chol`` (``d x d``)."""
-        return cls(mean[None], torch.ones(1, dtype=mean.dtype), chol)
+        one = torch.ones(1, dtype=mean.dtype)
+        return cls(mean[None], one, one, chol)
 
     @classmethod
     def through(cls, points: Tensor, log_weights: Tensor) -> "Proposal":
         """Kernels on weighed points (``n x d``, ``n``), of the width of Silverman's rule (1986, equation 4.14).
 
-        Weights of which fewer than ten count for every moment to be estimated are tempered first.
+        One wide kernel about them all looks where no point was. Weights of which fewer than ten a dimension count are
+        tempered first, and the kernels widened in turn: such points lie at the edge of what was proposed, and what they are
+        drawn to lies beyond it.
         """
         size = points.shape[1]
-        weights = _tempered(log_weights, 10.0 * (size + 1))
+        weights, power = _tempered(log_weights, 10.0 * (size + 1))
         mean = weights @ points
         deviation = points - mean
-        covariance = (weights[:, None] * deviation).mT @ deviation
+        chol = torch.linalg.cholesky((weights[:, None] * deviation).mT @ deviation)
         width = (4.0 / ((size + 2) * float(kish(weights)))) ** (1.0 / (size + 4))
         kept = weights > 0.0
-        return cls(points[kept], weights[kept], width * torch.linalg.cholesky(covariance))
+        sizes = torch.full((int(kept.sum()) + 1,), width, dtype=points.dtype)
+        sizes[-1] = _WIDE
+        shares = torch.cat(((1.0 - _WATCH) * weights[kept], weights.new_tensor([_WATCH])))
+        return cls(torch.cat((points[kept], mean[None])), shares, sizes, min(power**-0.5, _WIDEST) * chol)
 
     def draw(self, count: int, source: torch.Generator) -> Tensor:
         """``count x d`` independent draws."""
@@ -59,16 +71,19 @@ class Proposal:
         normal = torch.randn(count, size, generator=source, dtype=torch.float64)
         squares = torch.randn(count, _FREEDOM, generator=source, dtype=torch.float64).square().sum(1)
         centre = torch.multinomial(self.weights, count, replacement=True, generator=source)
-        return self.centres[centre] + (normal * (_FREEDOM / squares).sqrt()[:, None]) @ self.chol.mT
+        scale = self.sizes[centre] * (_FREEDOM / squares).sqrt()
+        return self.centres[centre] + (scale[:, None] * normal) @ self.chol.mT
 
     def log_prob(self, points: Tensor) -> Tensor:
         """Log density at ``n x d`` points: ``n`` tensor."""
         size = self.chol.shape[0]
         whiten = torch.linalg.inv(self.chol).mT
-        square = torch.cdist(points @ whiten, self.centres @ whiten, compute_mode="donot_use_mm_for_euclid_dist").square()
+        distance = torch.cdist(points @ whiten, self.centres @ whiten, compute_mode="donot_use_mm_for_euclid_dist")
+        square = (distance / self.sizes).square()
         half = 0.5 * (_FREEDOM + size)
         constant = math.lgamma(half) - math.lgamma(0.5 * _FREEDOM) - 0.5 * size * math.log(_FREEDOM * math.pi)
         kernels = constant - self.chol.diagonal().log().sum() - half * torch.log1p(square / _FREEDOM)
+        kernels = kernels - size * self.sizes.log()
         return torch.logsumexp(kernels + self.weights.log(), dim=1)
 
 
@@ -83,8 +98,8 @@ def kish(weights: Tensor) -> Tensor:
     return weights.sum().square() / weights.square().sum()
 
 
-def _tempered(log_weights: Tensor, least: float) -> Tensor:
-    """Normalised weights, raised to the largest power up to 1 that leaves an effective sample size of ``least``."""
+def _tempered(log_weights: Tensor, least: float) -> tuple[Tensor, float]:
+    """Normalised weights, raised to the largest power up to 1 that leaves an effective sample size of ``least``; the power."""
     low, high, power = 0.0, 1.0, 1.0
     for _ in range(40):
         weights = torch.softmax(power * log_weights, dim=0)
@@ -93,7 +108,7 @@ def _tempered(log_weights: Tensor, least: float) -> Tensor:
             break
         low, high = (power, high) if enough else (low, power)
         power = 0.5 * (low + high)
-    return weights
+    return weights, power
 
 
 def smooth(log_weights: Tensor) -> tuple[Tensor, float]:
@@ -112,7 +127,8 @@ def smooth(log_weights: Tensor) -> tuple[Tensor, float]:
     if len(some) < 5 * _SHORTEST_TAIL or float(some.amax() - some.amin()) < 1e-9:
         return log_weights, 0.0 if len(some) >= 5 * _SHORTEST_TAIL else math.inf
     floor = some.amax() - 600.0  # what is smaller is nothing beside the largest, and would underflow in the fit
-    smoothed, shape = array_stats.psislw(-some.clamp_min(floor).numpy())
+    with np.errstate(all="ignore"):  # a tail that underflows gives NaN, which is dealt with below
+        smoothed, shape = array_stats.psislw(-some.clamp_min(floor).numpy())
     least = int(some.argmin())
     values = torch.as_tensor(smoothed) - smoothed[least] + some[least].clamp_min(floor)  # undo its normalisation
     shape = float(shape)
@@ -142,8 +158,10 @@ class ImportanceSample:
             bias before the logarithm); ``-inf`` where a solve failed.
         log_proposal: ``n`` tensor, log density of the proposal.
         nuisances: ``n x E x 3`` tensor, one draw of the nuisances given ``v`` and the data for each draw.
+        centre: ``d`` tensor, mean of ``v`` that the proposal was made for.
+        spread: ``d x d`` tensor, Cholesky factor of the covariance that it was made for.
         first_shape: ``k`` of the first round, whose proposal is the Gaussian with heavier tails.
-        rounds: how often the proposal was made.
+        rounds: how many rounds of draws were made; these are of the last one, whose proposal owes nothing to them.
     """
 
     controls: Tensor
@@ -151,6 +169,8 @@ class ImportanceSample:
     by_experiment: Tensor
     log_proposal: Tensor
     nuisances: Tensor
+    centre: Tensor
+    spread: Tensor
     first_shape: float
     rounds: int
 
@@ -190,6 +210,27 @@ class ImportanceSample:
     def reliable(self) -> bool:
         """Whether the estimates below can be leant on."""
         return reliable(self.pareto_k, self.effective_samples, len(self))
+
+    @cached_property
+    def surprise(self) -> float:
+        """How far the moments are from those that the proposal was made for; see :meth:`divergence`."""
+        return self.divergence(self.centre, self.spread)
+
+    def divergence(self, mean: Tensor, chol: Tensor) -> float:
+        """Kullback-Leibler divergence of a Gaussian from that with the moments found, nats, less what chance makes of it.
+
+        Of ``n`` effective draws chance makes ``d (d + 3)/(4 n)`` on average: half a chi-square of as many degrees of freedom
+        as there are moments, over ``n``.
+
+        Args:
+            mean: ``d`` tensor.
+            chol: ``d x d`` tensor, Cholesky factor of the covariance.
+        """
+        size = len(mean)
+        shift = torch.linalg.solve_triangular(chol, (self.mean - mean)[:, None], upper=False)
+        root = torch.linalg.solve_triangular(chol, torch.linalg.cholesky(self.covariance), upper=False)
+        value = 0.5 * (shift.square().sum() + root.square().sum() - size) - root.diagonal().log().sum()
+        return float(value) - size * (size + 3) / (4.0 * self.effective_samples)
 
     @property
     def log_evidence(self) -> float:

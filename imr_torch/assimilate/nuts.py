@@ -1,9 +1,10 @@
 """The long-run reference: Hamiltonian Monte Carlo through the differentiable simulator, with no Gaussian assumed.
 
 The no-U-turn sampler (Hoffman & Gelman, JMLR 15, 2014; Pyro's implementation) moves in the coordinates of the fit: gel and
-nuisances in standard deviations of the joint Gaussian about the optimum, which serves as the mass matrix. It costs
-thousands of solves one after the other, so it judges importance sampling on single cases and is no part of a fit.
-Needs the extra ``imr-torch[nuts]`` and a simulator that autograd can follow.
+nuisances in standard deviations of the joint Gaussian about the optimum, which serves as the mass matrix. Since a batch
+of bubbles costs about as much as one, all chains move together: the sampler's state is the whole set of chains, and its
+target the product of their posteriors. Still a solve follows a solve hundreds of times, so this judges importance sampling
+on single cases and is no part of a fit. Needs the extra ``imr-torch[nuts]`` and a simulator that autograd can follow.
 """
 
 from collections.abc import Callable
@@ -17,9 +18,9 @@ from imr_torch.errors import ConvergenceError, InputDataError, UnsupportedError
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import Progress
 
 _WORST_R_HAT = 1.05
+_DEEPEST = 4  # doublings of a trajectory; in coordinates of the posterior 3 make half a turn
 _LEAST_SAMPLES = 100.0  # bulk effective sample size below which no moment is to be quoted
 
 
@@ -31,7 +32,7 @@ class NutsDraws:
         controls: ``C x n x d`` tensor, draws of the gel's controls ``v`` in ``C`` chains.
         nuisances: ``C x n x E x 3`` tensor, standardised.
         potential: ``C x n`` tensor, negative log of likelihood x prior, without the constants of the priors.
-        divergences: transitions whose trajectory left the level set (a failed solve is one), after warm-up.
+        divergences: transitions after warm-up whose trajectory left the level set, by a failed solve for example.
     """
 
     controls: Tensor
@@ -75,10 +76,9 @@ def nuts(
     simulator: Simulator,
     *,
     seed: int,
-    draws: int = 250,
-    warmup: int = 50,
-    chains: int = 2,
-    progress: Progress | None = None,
+    draws: int = 50,
+    warmup: int = 30,
+    chains: int = 32,
 ) -> NutsDraws:
     """Sample the posterior of a fitted model.
 
@@ -89,38 +89,31 @@ def nuts(
         seed: of all chains.
         draws: kept draws per chain.
         warmup: draws before, in which the step size is found.
-        chains: independent chains, started from draws of the fit's Gaussian.
-        progress: called with one line per chain.
+        chains: chains that move together, started from draws of the fit's Gaussian.
 
     Raises:
         UnsupportedError: if Pyro is not installed, or the simulator gives no gradients.
-        InputDataError: for fewer than 4 draws, or no chain.
-        ConvergenceError: if a chain finds no start that can be simulated.
+        InputDataError: for fewer than 4 draws, 2 chains or 1 draw of warm-up.
+        ConvergenceError: if fewer draws of the Gaussian than chains can be simulated.
     """
-    if draws < 4 or chains < 1 or warmup < 1:
-        raise InputDataError(f"nuts: draws {draws} must be at least 4, warmup {warmup} and chains {chains} at least 1.")
+    if draws < 4 or chains < 2 or warmup < 1:
+        raise InputDataError(f"nuts: draws {draws} must be at least 4, chains {chains} at least 2 and warmup {warmup} 1.")
     try:
         from pyro.infer import MCMC, NUTS
     except ImportError:
         raise UnsupportedError("nuts needs Pyro; install it with: pip install 'imr-torch[nuts]'.") from None
     posterior = _Posterior(fit, batch, simulator)
-    parts, divergences = [], 0
-    for chain in range(chains):
-        start = posterior.start(child(seed, "nuts", chain))
-        with torch.random.fork_rng(devices=[]):  # Pyro draws from the global generator
-            torch.manual_seed(child(seed, "nuts", chain, "moves"))
-            kernel = NUTS(potential_fn=posterior.potential, adapt_mass_matrix=False, max_tree_depth=6)
-            run = MCMC(kernel, draws, warmup_steps=warmup, initial_params={"u": start}, disable_progbar=True)
-            run.run()
-        parts.append(run.get_samples()["u"])
-        divergences += len(run.diagnostics()["divergences"]["chain 0"])
-        if progress:
-            progress(f"NUTS: chain {chain + 1} of {chains}, {draws} draws of {fit.model}")
-    u = torch.stack(parts)
+    start = posterior.start(chains, child(seed, "nuts"))
+    with torch.random.fork_rng(devices=[]):  # Pyro draws from the global generator
+        torch.manual_seed(child(seed, "nuts", "moves"))
+        kernel = NUTS(potential_fn=posterior.potential, adapt_mass_matrix=False, max_tree_depth=_DEEPEST)
+        run = MCMC(kernel, draws, warmup_steps=warmup, initial_params={"u": start}, disable_progbar=True)
+        run.run()
+    u = run.get_samples()["u"].movedim(0, 1)
     controls, nuisances = posterior.place(u)
     with torch.no_grad():
         cost = posterior.cost(controls, nuisances)
-    return NutsDraws(controls, nuisances, cost, divergences)
+    return NutsDraws(controls, nuisances, cost, len(run.diagnostics()["divergences"]["chain 0"]))
 
 
 class _Posterior:
@@ -153,17 +146,19 @@ class _Posterior:
 
     @property
     def potential(self) -> Callable[[dict[str, Tensor]], Tensor]:
-        """What Pyro asks for: the cost of one point ``{"u": size}``."""
-        return lambda point: self.cost(*self.place(point["u"]))
+        """What Pyro asks for: the joint cost of all chains at ``{"u": C x size}``; infinite where a solve fails."""
+        return lambda point: self.cost(*self.place(point["u"])).sum()
 
-    def start(self, seed: int) -> Tensor:
-        """The first of some draws of the Gaussian that can be simulated."""
-        noise = torch.randn(20, self.size, generator=generator(seed), dtype=torch.float64)
+    def start(self, chains: int, seed: int) -> Tensor:
+        """The first draws of the Gaussian that can be simulated: ``chains x size``."""
+        noise = torch.randn(2 * chains, self.size, generator=generator(seed), dtype=torch.float64)
         with torch.no_grad():
             usable = torch.isfinite(self.cost(*self.place(noise)))
-        if not bool(usable.any()):
-            raise ConvergenceError(f"{self.fit.model}: none of {len(noise)} draws of the fit could be simulated.")
-        start = noise[usable][0]
+        start = noise[usable][:chains]
+        if len(start) < chains:
+            raise ConvergenceError(
+                f"{self.fit.model}: {len(start)} of {len(noise)} draws of the fit could be simulated; {chains} are needed."
+            )
         if not self.predict(*self.place(start.clone().requires_grad_())).requires_grad:
             raise UnsupportedError(
                 f"{type(self.simulator).__name__} gives no gradients; NUTS needs a simulator that autograd can follow, "

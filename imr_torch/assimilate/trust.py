@@ -3,7 +3,11 @@
 Each fit's Gaussian, with heavier tails, proposes draws that are weighed by the exact posterior. Nuisances are integrated
 out for each draw and each experiment by importance sampling from their conditional Gaussian, in opposite pairs, which
 cancels its skewness; the product over experiments is without bias (pseudo-marginal: Andrieu & Roberts, Ann. Stat. 37,
-2009). Draws of all models are simulated in one call a round; a model whose weights are not reliable gets another round.
+2009). Draws of all models are simulated in one call a round; a model whose Gaussian does not stand gets another round, with
+a proposal made from its weighed draws, until that one stands.
+
+Weights tell of what the draws came near. Another mode far from all of them stays unseen here; against that stands the
+agreement of the starts in the fit's certificate.
 """
 
 import math
@@ -12,7 +16,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.fit import Assimilation, ModelFit
+from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.importance import ImportanceSample, Proposal, mixture_log_prob, smooth
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.observe import ExperimentBatch, predict
@@ -45,6 +49,16 @@ class _Round:
     by_experiment: Tensor
     nuisances: Tensor
 
+    @property
+    def likelihood(self) -> Tensor:
+        """``n`` tensor, log likelihood of all experiments."""
+        return self.by_experiment.sum(1)
+
+    @property
+    def log_prior(self) -> Tensor:
+        """``n`` tensor, log density under the prior."""
+        return -0.5 * self.controls.square().sum(1) - 0.5 * self.controls.shape[1] * math.log(2.0 * math.pi)
+
 
 def weigh(
     assimilation: Assimilation, simulator: Simulator, *, seed: int, samples: int = 256, rounds: int = 4
@@ -56,7 +70,8 @@ def weigh(
         simulator: the simulator they were made with.
         seed: of the draws.
         samples: draws per model and round, each one simulation per experiment (two where nuisances are uncertain).
-        rounds: most rounds; a model stops at the first in which its weights are reliable.
+        rounds: most rounds; a model stops when the weights are reliable and their moments those that the proposal was
+            made for, which after the first round are those of the fit's Gaussian.
 
     Returns:
         The assimilation with a ``sample`` in each fit, from which evidence, moments and verdict are taken.
@@ -67,24 +82,22 @@ def weigh(
     """
     if samples < 50 or rounds < 1:
         raise InputDataError(f"weigh: samples {samples} must be at least 50, and rounds {rounds} at least 1.")
-    fits, batch = assimilation.fits, assimilation.batch
+    fits, batch = tuple(replace(fit, sample=None) for fit in assimilation.fits), assimilation.batch
     proposals = {fit.model: [Proposal.about(fit.mean, fit.chol)] for fit in fits}
     parts: dict[str, list[_Round]] = {fit.model: [] for fit in fits}
-    found: dict[str, ImportanceSample] = {}
+    found = {fit.model: fit for fit in fits}
     waiting = list(fits)
     for number in range(rounds):
         draws = [_draw(f, batch, proposals[f.model][-1], samples, child(seed, "weigh", f.model, number)) for f in waiting]
         for fit, part in zip(waiting, _simulate(waiting, draws, batch, simulator), strict=True):
             parts[fit.model].append(part)
-            first = found[fit.model].first_shape if number else None
-            found[fit.model] = _combine(fit, proposals[fit.model], parts[fit.model], first)
-        waiting = [fit for fit in waiting if not found[fit.model].reliable]
+            found[fit.model] = _judge(found[fit.model], proposals[fit.model][-1], part)
+        waiting = [fit for fit in waiting if found[fit.model].verdict is Verdict.REFUSED]
         if not waiting:
             break
         for fit in waiting:
-            sample = found[fit.model]
-            proposals[fit.model].append(Proposal.through(sample.controls, sample.log_weights))
-    return replace(assimilation, fits=tuple(replace(fit, sample=found[fit.model]) for fit in fits))
+            proposals[fit.model].append(_again(proposals[fit.model], parts[fit.model]))
+    return replace(assimilation, fits=tuple(found[fit.model] for fit in fits))
 
 
 def _draw(fit: ModelFit, batch: ExperimentBatch, proposal: Proposal, samples: int, seed: int) -> _Draws:
@@ -122,15 +135,29 @@ def _integrate(draws: _Draws, likelihood: Tensor) -> _Round:
     return _Round(draws.controls, by_experiment, kept)
 
 
-def _combine(fit: ModelFit, proposals: list[Proposal], parts: list[_Round], first: float | None) -> ImportanceSample:
-    """All draws of one model so far, weighed by the mixture of their proposals."""
+def _judge(fit: ModelFit, proposal: Proposal, part: _Round) -> ModelFit:
+    """The fit with the draws of one round for its sample."""
+    log_proposal = proposal.log_prob(part.controls)
+    weighed = part.likelihood + part.log_prior - log_proposal
+    if not bool(torch.isfinite(weighed).any()):
+        raise ConvergenceError(f"{fit.model}: none of {len(weighed)} draws could be simulated; its fit is not usable.")
+    first, rounds = (smooth(weighed)[1], 1) if fit.sample is None else (fit.sample.first_shape, fit.sample.rounds + 1)
+    sample = ImportanceSample(
+        controls=part.controls,
+        log_prior=part.log_prior,
+        by_experiment=part.by_experiment,
+        log_proposal=log_proposal,
+        nuisances=part.nuisances,
+        centre=proposal.centres[-1],
+        spread=proposal.chol,
+        first_shape=first,
+        rounds=rounds,
+    )
+    return replace(fit, sample=sample)
+
+
+def _again(proposals: list[Proposal], parts: list[_Round]) -> Proposal:
+    """A proposal from all draws so far, weighed by the mixture of their proposals."""
     controls = torch.cat([part.controls for part in parts])
-    by_experiment = torch.cat([part.by_experiment for part in parts])
-    if not bool(torch.isfinite(by_experiment).all(1).any()):
-        raise ConvergenceError(f"{fit.model}: none of {len(controls)} draws could be simulated; its fit is not usable.")
-    log_prior = -0.5 * controls.square().sum(1) - 0.5 * controls.shape[1] * math.log(2.0 * math.pi)
-    log_proposal = mixture_log_prob(proposals, [len(part.controls) for part in parts], controls)
-    if first is None:
-        first = smooth(by_experiment.sum(1) + log_prior - log_proposal)[1]
-    nuisances = torch.cat([part.nuisances for part in parts])
-    return ImportanceSample(controls, log_prior, by_experiment, log_proposal, nuisances, first, len(parts))
+    target = torch.cat([part.likelihood + part.log_prior for part in parts])
+    return Proposal.through(controls, target - mixture_log_prob(proposals, [len(part.controls) for part in parts], controls))
