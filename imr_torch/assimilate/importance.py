@@ -138,7 +138,7 @@ def smooth(log_weights: Tensor) -> tuple[Tensor, float]:
 
 
 def largest_shape(count: int) -> float:
-    """The ``k`` up to which ``count`` weights give estimates with an error to be believed (Vehtari et al. 2024, section 3.2)."""
+    """The ``k`` up to which ``count`` weights give estimates with an error to be believed (Vehtari et al. 2024, 3.2)."""
     return min(1.0 - 1.0 / math.log10(max(count, 2)), 0.7)
 
 

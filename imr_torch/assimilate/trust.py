@@ -60,9 +60,7 @@ class _Round:
         return -0.5 * self.controls.square().sum(1) - 0.5 * self.controls.shape[1] * math.log(2.0 * math.pi)
 
 
-def weigh(
-    assimilation: Assimilation, simulator: Simulator, *, seed: int, samples: int = 256, rounds: int = 4
-) -> Assimilation:
+def weigh(assimilation: Assimilation, simulator: Simulator, *, seed: int, samples: int = 256, rounds: int = 4) -> Assimilation:
     """Weigh draws about every fit by the exact posterior.
 
     Args:
@@ -77,11 +75,11 @@ def weigh(
         The assimilation with a ``sample`` in each fit, from which evidence, moments and verdict are taken.
 
     Raises:
-        InputDataError: for fewer than 50 samples or no round.
+        InputDataError: for fewer than 25 samples or no round.
         ConvergenceError: if no draw of some model could be simulated.
     """
-    if samples < 50 or rounds < 1:
-        raise InputDataError(f"weigh: samples {samples} must be at least 50, and rounds {rounds} at least 1.")
+    if samples < 25 or rounds < 1:
+        raise InputDataError(f"weigh: samples {samples} must be at least 25, and rounds {rounds} at least 1.")
     fits, batch = tuple(replace(fit, sample=None) for fit in assimilation.fits), assimilation.batch
     proposals = {fit.model: [Proposal.about(fit.mean, fit.chol)] for fit in fits}
     parts: dict[str, list[_Round]] = {fit.model: [] for fit in fits}

@@ -51,6 +51,4 @@ def probability_errors(prior: Belief, evidence: Sequence[Evidence]) -> dict[str,
 
 def _check(prior: Belief, evidence: Sequence[Evidence]) -> None:
     if tuple(e.model for e in evidence) != prior.keys:
-        raise InputDataError(
-            f"Evidence of {[e.model for e in evidence]} does not match the belief over {list(prior.keys)}."
-        )
+        raise InputDataError(f"Evidence of {[e.model for e in evidence]} does not match the belief over {list(prior.keys)}.")

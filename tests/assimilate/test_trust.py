@@ -145,9 +145,9 @@ def test_that_failed_draws_weigh_nothing_and_all_failed_is_an_error(simple: Assi
         weigh(simple, LinearSimulator(fails=True), seed=0)
 
 
-@pytest.mark.parametrize(("samples", "rounds"), [(49, 4), (256, 0)])
+@pytest.mark.parametrize(("samples", "rounds"), [(24, 4), (256, 0)])
 def test_that_too_few_samples_or_rounds_are_refused(simple: Assimilation, samples: int, rounds: int) -> None:
-    with pytest.raises(InputDataError, match=r"must be at least 50, and rounds"):
+    with pytest.raises(InputDataError, match=r"must be at least 25, and rounds"):
         weigh(simple, LinearSimulator(), seed=0, samples=samples, rounds=rounds)
 
 

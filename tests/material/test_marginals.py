@@ -242,7 +242,10 @@ def test_that_the_input_is_not_changed_and_any_shape_goes_through(case: Case) ->
         (lambda: LogNormal(math.nan, 2.0), r"LogNormal.median is nan"),
         (lambda: LogNormal(1.0, 1.0), r"a spread needs a factor above 1"),
         (lambda: LogNormal(1.0, math.inf), r"LogNormal.factor is inf"),
-        (lambda: marginal_from_dict({"kind": "Gamma"}), r"Unknown prior kind 'Gamma'; known are TruncatedNormal, LogNormal, Quantile"),
+        (
+            lambda: marginal_from_dict({"kind": "Gamma"}),
+            r"Unknown prior kind 'Gamma'; known are TruncatedNormal, LogNormal, Quantile",
+        ),
         (lambda: Quantile("poisson", {"mu": 1.0}), r"scipy.stats has no continuous distribution named 'poisson'"),
         (lambda: Quantile("gamma", {"scale": 1.0}), r"scipy.stats.gamma with \{'scale': 1.0\}: .*'a'"),
         (lambda: Quantile("gamma", {"a": -1.0}), r"scipy.stats.gamma has no median with \{'a': -1.0\}"),

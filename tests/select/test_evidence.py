@@ -184,7 +184,9 @@ def test_that_evidence_with_a_heavy_tail_is_not_trusted() -> None:
 
 def test_that_the_error_of_a_probability_is_the_scatter_that_the_evidence_errors_make() -> None:
     belief = prior()
-    evidence = [Evidence(m, v, e, 200.0, 256, 0, 0.1) for m, v, e in zip(MODELS, (0.3, 0.0, -1.0), (0.05, 0.08, 0.02), strict=True)]
+    evidence = [
+        Evidence(m, v, e, 200.0, 256, 0, 0.1) for m, v, e in zip(MODELS, (0.3, 0.0, -1.0), (0.05, 0.08, 0.02), strict=True)
+    ]
     noise = torch.randn(200_000, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     logs = tensor(*[e.value for e in evidence]) + noise * tensor(*[e.error for e in evidence])
     scatter = torch.softmax(belief.log_probabilities + logs, dim=1).std(0)

@@ -61,7 +61,8 @@ def test_that_the_error_of_a_score_is_its_scatter_over_seeds() -> None:
     belief, batch = prior(("nhkv",)), experiments(4)
     fit = assimilate(belief, batch, LinearSimulator(), seed=1, options=OPTIONS)
     runs = [
-        cross_validate(weigh(fit, LinearSimulator(), seed=seed), LinearSimulator(), seed=0, folds=[[3]])[0] for seed in range(60)
+        cross_validate(weigh(fit, LinearSimulator(), seed=seed), LinearSimulator(), seed=0, folds=[[3]])[0]
+        for seed in range(60)
     ]
     values, errors = tensor(*[r.value for r in runs]), tensor(*[r.error for r in runs])
     assert not any(r.refitted for r in runs)
