@@ -102,13 +102,12 @@ def _tempered(log_weights: Tensor, least: float) -> tuple[Tensor, float]:
     """Normalised weights, raised to the largest power up to 1 that leaves an effective sample size of ``least``; the power."""
     low, high, power = 0.0, 1.0, 1.0
     for _ in range(40):
-        weights = torch.softmax(power * log_weights, dim=0)
-        enough = float(kish(weights)) >= least
+        enough = float(kish(torch.softmax(power * log_weights, dim=0))) >= least
         if enough and power == 1.0:
             break
         low, high = (power, high) if enough else (low, power)
         power = 0.5 * (low + high)
-    return weights, power
+    return torch.softmax(power * log_weights, dim=0), power
 
 
 def smooth(log_weights: Tensor) -> tuple[Tensor, float]:
@@ -120,7 +119,7 @@ def smooth(log_weights: Tensor) -> tuple[Tensor, float]:
     Returns:
         The smoothed weights, and ``k``: infinite where too few weights count for a tail to be fitted.
     """
-    from arviz_stats.base import array_stats  # here: where xarray is installed too, it takes a second to import
+    from arviz_stats.base.array import array_stats  # here: where xarray is installed too, it takes a second to import
 
     possible = torch.nonzero(torch.isfinite(log_weights))[:, 0]
     some = log_weights[possible]

@@ -43,14 +43,14 @@ class NutsDraws:
     @property
     def r_hat(self) -> Tensor:
         """``d`` tensor: rank-normalised split R-hat (Vehtari et al., Bayesian Anal. 16, 2021); 1 when chains agree."""
-        from arviz_stats.base import array_stats  # here: where xarray is installed too, it takes a second to import
+        from arviz_stats.base.array import array_stats  # here: where xarray is installed too, it takes a second to import
 
         return torch.as_tensor(array_stats.rhat(self.controls.numpy(), chain_axis=0, draw_axis=1))
 
     @property
     def effective_samples(self) -> Tensor:
         """``d`` tensor: bulk effective sample size (same source)."""
-        from arviz_stats.base import array_stats
+        from arviz_stats.base.array import array_stats
 
         return torch.as_tensor(array_stats.ess(self.controls.numpy(), chain_axis=0, draw_axis=1))
 

@@ -28,9 +28,6 @@ class ModelPrior(Distribution):
         dtype: of samples and log densities.
     """
 
-    arg_constraints: dict[str, constraints.Constraint] = {}  # noqa: RUF012 (the base class declares it so)
-    has_rsample = False
-
     def __init__(self, belief: ModelBelief, *, dtype: torch.dtype = torch.float32) -> None:
         self.belief, self.dtype = belief, dtype
         super().__init__(torch.Size(), torch.Size([len(belief.names)]), validate_args=False)
@@ -44,6 +41,11 @@ class ModelPrior(Distribution):
         if tuple(batch_shape) not in ((), (1,)):
             raise ShapeError(f"ModelPrior cannot be expanded to the batch shape {tuple(batch_shape)}.")
         return self
+
+    @property
+    def arg_constraints(self) -> dict[str, constraints.Constraint]:
+        """None: the belief has checked itself."""
+        return {}
 
     @property
     def support(self) -> constraints.Constraint:

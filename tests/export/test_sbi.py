@@ -64,7 +64,7 @@ def test_that_the_support_is_where_the_density_is() -> None:
     assert bool(given.support.check(inside).all())
     torch.testing.assert_close(to_support.inv(inside), free)
     unbounded = ModelPrior(prior(("nhkv",))["nhkv"])
-    assert unbounded.support.check(tensor([-1e9, 1e9])).tolist() is True
+    assert unbounded.support.check(tensor([-1e9, 1e9])).tolist() == [True]
 
 
 def test_that_curves_are_the_simulators_with_the_stated_noise() -> None:
