@@ -34,6 +34,9 @@ class CurvedSimulator:
         shown[..., g] = MEANS["G"] + self.mute * SDS["G"] * standard
         return LinearSimulator()(shown, designs, times)
 
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        return self(parameters, designs, times)
+
 
 @dataclass(frozen=True)
 class Quadrature:
