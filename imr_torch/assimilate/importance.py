@@ -17,7 +17,7 @@ from torch import Tensor
 
 _FREEDOM = 7  # degrees of freedom of the kernels: tails heavier than a Gaussian's, with moments up to the sixth
 _ENOUGH = 20.0  # effective samples, and a tenth of all, below which no estimate is leant on
-_WATCH = 0.25  # share of the wide kernel in a proposal made from draws
+_WATCH = 0.5  # share of the wide kernel in a proposal made from draws
 _WIDE = 1.5  # its size, in standard deviations of the draws
 _WIDEST = 4.0  # most by which kernels are widened in one round
 _SHORTEST_TAIL = 5  # weights to which a generalised Pareto distribution can be fitted

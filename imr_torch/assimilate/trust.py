@@ -19,9 +19,11 @@ from torch import Tensor
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.importance import ImportanceSample, Proposal, mixture_log_prob, smooth
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.observe import ExperimentBatch, predict
+from imr_torch.observe import ExperimentBatch, displaced, predict
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
+
+_EARLIEST = -0.5  # time from which bubbles can be simulated
 
 
 @dataclass(frozen=True)
@@ -117,11 +119,20 @@ def _simulate(fits: list[ModelFit], draws: list[_Draws], batch: ExperimentBatch,
     """Likelihoods of the draws of all models, in one call of the simulator."""
     pairs = draws[0].nuisances.shape[1]
     parameters = torch.cat([fit.parameters(d.controls) for fit, d in zip(fits, draws, strict=True)])
-    shifts = torch.cat([d.nuisances for d in draws]) * batch.nuisance_sds if pairs > 1 else None
+    nuisances = torch.cat([d.nuisances for d in draws])
+    possible = _possible(nuisances * batch.nuisance_sds, batch)
+    shifts = torch.where(possible[..., None], nuisances * batch.nuisance_sds, 0.0) if pairs > 1 else None
     prediction = predict(simulator, parameters[:, None].expand(-1, pairs, -1), batch, shifts)
     likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0))
+    likelihood = torch.where(possible, likelihood, -torch.inf)
     rows = zip(draws, likelihood.split([len(d.controls) for d in draws]), strict=True)
     return [_integrate(d, values) for d, values in rows]
+
+
+def _possible(shifts: Tensor, batch: ExperimentBatch) -> Tensor:
+    """Whether nuisances ``... x E x 3`` leave a bubble that can be simulated; a wild draw must not end the batch."""
+    _, times, scale = displaced(batch.designs, batch.times, shifts)
+    return (scale[..., 0] > 0.1) & (times[..., 0] > _EARLIEST)
 
 
 def _integrate(draws: _Draws, likelihood: Tensor) -> _Round:

@@ -91,7 +91,7 @@ def cross_validate(
     Args:
         assimilation: weighed fits to all experiments.
         simulator: the simulator they were made with, for refits.
-        seed: of refits.
+        seed: of refits, which start where the whole fit ended.
         folds: indices of the experiments that are held out together; each alone when not given.
         samples: draws per round of a refit.
         options: how a refit searches.
@@ -113,14 +113,23 @@ def cross_validate(
         found = [_leave_out(fit, batch, fold) for fit in assimilation.fits]
         poor = [i for i, (_, trusted) in enumerate(found) if not trusted]
         if poor:
-            kept = ExperimentBatch(tuple(x for e, x in enumerate(batch.experiments) if e not in fold), batch.noise)
-            part = Belief(tuple(assimilation.prior.models[i] for i in poor), assimilation.prior.log_probabilities[poor])
-            again = assimilate(part, kept, simulator, seed=child(seed, "fit", number), options=options)
+            near = _restricted(assimilation, poor, [e for e in range(count) if e not in fold])
+            seed_of_fit = child(seed, "fit", number)
+            again = assimilate(near.prior, near.batch, simulator, seed=seed_of_fit, options=options, near=near)
             again = weigh(again, simulator, seed=child(seed, "weigh", number), samples=samples)
             for i, fit in zip(poor, again.fits, strict=True):
                 found[i] = _refitted(found[i][0], assimilation.fits[i], fit), True
         scores += [score for score, _ in found]
     return tuple(scores)
+
+
+def _restricted(assimilation: Assimilation, models: Sequence[int], experiments: Sequence[int]) -> Assimilation:
+    """Some models and experiments of an assimilation: where a search without the others starts."""
+    prior, batch = assimilation.prior, assimilation.batch
+    belief = Belief(tuple(prior.models[i] for i in models), prior.log_probabilities[list(models)])
+    kept = ExperimentBatch(tuple(batch.experiments[e] for e in experiments), batch.noise)
+    fits = (assimilation.fits[i] for i in models)
+    return Assimilation(belief, kept, tuple(replace(fit, nuisances=fit.nuisances[list(experiments)]) for fit in fits))
 
 
 def _leave_out(fit: ModelFit, batch: ExperimentBatch, fold: Sequence[int]) -> tuple[PredictiveScore, bool]:

@@ -46,12 +46,12 @@ def test_that_draws_have_the_moments_of_the_density() -> None:
 
 
 def test_that_kernels_through_weighed_points_follow_the_weighed_density() -> None:
-    """Uniform points weighed to a Gaussian: three quarters are narrow kernels on them, one quarter is wide."""
+    """Uniform points weighed to a Gaussian: half are narrow kernels on them, half is one wide kernel."""
     points = 10.0 * torch.rand(4000, 2, generator=generator(2), dtype=torch.float64) - 5.0
     proposal = Proposal.through(points, -0.5 * (points - tensor(1.0, 0.0)).square().sum(1))
     draws = proposal.draw(50_000, generator(3))
     narrow = float(proposal.sizes[0])
-    variance = 0.75 * (1.0 + narrow**2 * 7.0 / 5.0) + 0.25 * 1.5**2 * 7.0 / 5.0
+    variance = 0.5 * (1.0 + narrow**2 * 7.0 / 5.0) + 0.5 * 1.5**2 * 7.0 / 5.0
     assert narrow < 0.5
     torch.testing.assert_close(draws.mean(0), tensor(1.0, 0.0), rtol=0.0, atol=0.1)
     torch.testing.assert_close(torch.cov(draws.mT), variance * torch.eye(2, dtype=torch.float64), rtol=0.1, atol=0.1)

@@ -167,3 +167,17 @@ def test_that_weighing_depends_on_the_seed_alone(simple: Assimilation) -> None:
     assert torch.equal(one.log_weights, same.log_weights)
     assert not torch.equal(one.controls, other.controls)
     assert tensor(one.log_evidence) == tensor(same.log_evidence)
+
+
+def test_that_a_draw_whose_clock_is_impossible_weighs_nothing_and_does_not_end_the_batch(simple: Assimilation) -> None:
+    """A conditional Gaussian of the time zero so wide that records would begin long before the maximum radius."""
+
+    class Strict(LinearSimulator):
+        def __call__(self, parameters, designs, times):
+            assert float(times.min()) > -0.5
+            return super().__call__(parameters, designs, times)
+
+    wild = changed(simple, nuisance_chol=0.05 * simple.fits[0].nuisance_chol)
+    fit = weigh(wild, Strict(), seed=0, samples=256, rounds=1).fits[0]
+    assert fit.verdict is Verdict.REFUSED
+    assert 0.0 < fit.sample.effective_samples < 100.0
