@@ -431,7 +431,7 @@ class _Search:
             chol=self.chol[best, :free, :free],
             nuisances=self.nuisances[best],
             nuisance_response=equations.reduced.nuisance_response[..., :free],
-            nuisance_log_det=float(equations.reduced.nuisance_log_det),
+            nuisance_chol=torch.linalg.cholesky(equations.nuisance_hessian),
             cost=float(self.cost[best]),
             prediction=prediction[0],
             certificate=certificate,
