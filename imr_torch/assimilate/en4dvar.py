@@ -13,7 +13,6 @@ Against the published method the likelihood is that of all repeats and frames, t
 taken only if it lowers the exact cost; see :mod:`imr_torch.assimilate.fit` for the certificate each fit carries.
 """
 
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -52,7 +51,7 @@ class EnsembleOptions:
         gradient: tolerance of the whitened gradient; 1e-3 leaves 5e-7 nats.
         agreement: tolerance of the cost difference between the two best starts, nats.
         hopeless: a start rests, unconverged, once its cost less what its gradient promises is worse than the best cost of
-            any model by more than this, nats.
+            any model by more than this, nats; never when not given.
     """
 
     members: int | None = None
@@ -62,7 +61,7 @@ class EnsembleOptions:
     spread: float = 1e-4
     gradient: float = 1e-3
     agreement: float = 0.1
-    hopeless: float = math.inf
+    hopeless: float | None = None
 
     def __post_init__(self) -> None:
         if self.members is not None and (self.members < 2 or self.members % 2):
@@ -368,6 +367,8 @@ class _Search:
 
     def give_up(self) -> None:
         """Let starts rest whose model the best one has left behind."""
+        if self.options.hopeless is None:
+            return
         promised = self.cost - 2.0 * self.gradient.clamp_max(1e6).square()  # Gauss-Newton promises a quarter of that
         self.finished |= promised > self.cost.min() + self.options.hopeless
 
