@@ -23,7 +23,7 @@ from gpytorch.mlls import ExactMarginalLogLikelihood
 from torch import Tensor
 
 from imr_torch.design.acquisition import ExpectedInformationGain
-from imr_torch.design.eig import InformationGain
+from imr_torch.design.gain import InformationGain
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.random import child
