@@ -4,14 +4,25 @@ from imr_torch.design.acquisition import ExpectedInformationGain
 from imr_torch.design.closed_form import linear_gaussian_gain
 from imr_torch.design.eig import Bracket, expected_information_gain, information_bracket
 from imr_torch.design.gain import Estimator, InformationGain
-from imr_torch.design.optimizer import DesignOptimizer, DesignSearch, Recommendation, search_design, tell_gain
+from imr_torch.design.optimizer import (
+    POLICIES,
+    Cost,
+    DesignOptimizer,
+    DesignSearch,
+    Policy,
+    Recommendation,
+    search_design,
+    tell_gain,
+)
 from imr_torch.design.plan import PAPER_PLAN, Plan
 from imr_torch.design.space import DESIGN_NAMES, DesignSpace
 
 __all__ = [
     "DESIGN_NAMES",
     "PAPER_PLAN",
+    "POLICIES",
     "Bracket",
+    "Cost",
     "DesignOptimizer",
     "DesignSearch",
     "DesignSpace",
@@ -19,6 +30,7 @@ __all__ = [
     "ExpectedInformationGain",
     "InformationGain",
     "Plan",
+    "Policy",
     "Recommendation",
     "expected_information_gain",
     "information_bracket",

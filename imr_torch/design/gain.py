@@ -39,7 +39,7 @@ class Estimator:
     method: Method = "importance"
     draws: int = 64
     inner: int = 16
-    refinements: int = 4
+    refinements: int = 3
     defence: float = 0.1
 
     def __post_init__(self) -> None:
@@ -51,6 +51,8 @@ class Estimator:
             raise InputDataError(f"Estimator.inner is {self.inner}; at least 2 are needed for an error estimate.")
         if self.refinements < 0:
             raise InputDataError(f"Estimator.refinements is {self.refinements}; expected 0 or more.")
+        if not 0.0 <= self.defence <= 0.5:
+            raise InputDataError(f"Estimator.defence is {self.defence}; expected a share in [0, 0.5].")
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class InformationGain:
         variance: Monte Carlo variance of the sum of the two.
         counted: draws that could be simulated.
         drawn: draws asked for.
-        bias: how far the finite inner sums raise the value, to first order in their variance; None without inner sums.
+        bias: how far the finite inner sums raise the value, at most and to first order; None for other methods.
         effective: inner draws that effectively carry an evidence (Kish 1965), mean over data; near 1 the value is a bound.
     """
 

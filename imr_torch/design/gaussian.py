@@ -25,7 +25,7 @@ from imr_torch.design.response import Response, Shot, radii, respond
 from imr_torch.material import ModelBelief
 
 _LONGEST_STEP = 4.0  # standard deviations of the belief
-_LENGTHS = (1.0, 0.4, 0.1)  # of a Gauss-Newton step, tried together
+_SHORTER = 0.3  # factor on a step that made things worse
 _CLOSE = 0.1  # posterior standard deviations from the optimum
 _WIDER = 3.0  # posterior standard deviations of the wider part of a proposal
 _HOPELESS = 25.0  # nats below the datum's own model: the evidence then need not be sampled
@@ -198,39 +198,41 @@ def _sampled_evidence(
     result = _Sampled(torch.full((count,), -math.inf, dtype=torch.float64), torch.zeros(count, dtype=torch.float64))
     if len(gels) < 2:
         return result
-    own, foreign = torch.arange(count)[drawn.rows[model]], _outside(drawn, model)
-    at, truth = gels, None
-    if estimator.method == "adaptive":
-        at, truth = gels[_nearest(drawn.data[own], gels, shot, not_own=True)[0]], gels
-    at = _refine(drawn.data[own], at, shot, part, estimator.refinements)
-    result.log[own], result.variance[own] = _sample(drawn.data[own], at, truth, shot, part, estimator, source)
-    if len(foreign):
-        data = drawn.data[foreign]
-        at = _refine(data, gels[_nearest(data, gels, shot)[0]], shot, part, estimator.refinements)
-        result.log[foreign] = infer(data, at, shot.plan).log_evidence
-        close = result.log[foreign] > rival[foreign] - _HOPELESS
-        rows = foreign[close]
-        result.log[rows], result.variance[rows] = _sample(data[close], at[close], None, shot, part, estimator, source)
+    rows, adaptive = torch.cat((torch.arange(count)[drawn.rows[model]], _outside(drawn, model))), estimator.method == "adaptive"
+    data, own = drawn.data[rows], len(gels)
+    start = torch.arange(own)
+    if adaptive:
+        start = _nearest(data[:own], gels, shot, not_own=True)[0]
+    if len(data) > own:
+        start = torch.cat((start, _nearest(data[own:], gels, shot)[0]))
+    at = _refine(data, gels[start], shot, part, estimator.refinements)
+    result.log[rows] = infer(data, at, shot.plan).log_evidence
+    close = result.log[rows] > rival[rows] - _HOPELESS
+    close[:own] = True
+    truth = gels.controls if adaptive else None
+    log, variance = _sample(data[close], at[close], truth, shot, part, estimator, source)
+    result.log[rows[close]], result.variance[rows[close]] = log, variance
     return result
 
 
 def _refine(data: Data, at: Response, shot: Shot, part: ModelBelief, iterations: int) -> Response:
-    """Gauss-Newton steps towards the optimum of each datum: the best of several lengths, if it improves the posterior."""
-    lengths = torch.tensor(_LENGTHS, dtype=torch.float64)[:, None]
+    """Gauss-Newton steps towards the optimum of each datum; one that worsens the posterior is tried again shorter."""
+    length = torch.ones(len(data), 1, dtype=torch.float64)
     for _ in range(iterations):
         here = infer(data, at, shot.plan)
         step = here.mean - at.controls
         moving = torch.nonzero((step[:, None] @ here.chol).norm(dim=-1)[:, 0] > _CLOSE)[:, 0]
         if len(moving) == 0:
             break
-        step = step * (_LONGEST_STEP / step.norm(dim=-1, keepdim=True).clamp_min(_LONGEST_STEP))
-        tried = (at.controls + lengths[..., None] * step).transpose(0, 1)[moving]
-        log = _log_joint(data[moving], tried, at[moving], shot, part)
-        best, row = log.max(1)
-        better = best > _log_posterior(here, at)[moving]
-        moving, row = moving[better], row[better]
-        moved = respond(shot, part, tried[better].gather(1, row[:, None, None].expand(-1, 1, step.shape[1]))[:, 0])
-        at = at.replaced(moving[moved.good], moved[moved.good])
+        step = length * step * (_LONGEST_STEP / step.norm(dim=-1, keepdim=True).clamp_min(_LONGEST_STEP))
+        moved = respond(shot, part, (at.controls + step)[moving])
+        good = moved.good
+        better = torch.zeros(len(data), dtype=torch.bool)
+        kept, moved = moving[good], moved[good]
+        gain = _log_posterior(infer(data[kept], moved, shot.plan), moved) - _log_posterior(here, at)[kept]
+        better[kept[gain > 0.0]] = True
+        at = at.replaced(kept[gain > 0.0], moved[gain > 0.0])
+        length = torch.where(better[:, None], 1.0, _SHORTER * length)
     return at
 
 
@@ -250,7 +252,7 @@ def _log_posterior(linear: Linear, at: Response) -> Tensor:
 def _sample(
     data: Data,
     at: Response,
-    truth: Response | None,
+    truth: Tensor | None,
     shot: Shot,
     part: ModelBelief,
     estimator: Estimator,
@@ -265,7 +267,7 @@ def _sample(
     Args:
         data: ``n`` data.
         at: where each proposal is linearised; nuisances are taken from there.
-        truth: gels that count as the first sample of each datum.
+        truth: controls of the gels of the first data, which count as a sample of theirs.
         shot: designs and how they are observed.
         part: the model.
         estimator: number of samples and share of the other parts.
@@ -280,7 +282,7 @@ def _sample(
     v = picture.mean[:, None] + torch.linalg.solve_triangular(picture.chol.mT, (scale * z).mT, upper=True).mT
     v[:, inner - wide - belief : inner - wide] = z[:, inner - wide - belief : inner - wide]
     if truth is not None:
-        v[:, 0] = truth.controls
+        v[: len(truth), 0] = truth
     away = ((v - picture.mean[:, None]) @ picture.chol).square().sum(-1)
     densities = torch.stack(
         (

@@ -91,7 +91,7 @@ def pairwise(data: Data, gels: Response, plan: Plan) -> Tensor:
     """``n x m`` log densities of every datum given every gel."""
     per_row = gels.radius.numel() * (1 + gels.by_nuisance.shape[-1])
     rows = max(1, _BLOCK // max(1, per_row))
-    blocks = [data[i : i + rows] for i in range(0, len(data), rows)]
+    blocks = [data[i : i + rows] for i in range(0, max(1, len(data)), rows)]
     return torch.cat(
         [log_likelihood(Data(b.radius[:, None], b.window[:, None]), gels.radius, gels.by_nuisance, plan) for b in blocks]
     )

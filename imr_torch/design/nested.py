@@ -112,7 +112,7 @@ def nested(shot: Shot, estimator: Estimator, source: torch.Generator) -> Informa
     if estimator.method == "contrastive":
         for i, block in enumerate(logs):
             own = outer.model == i
-            block[own, 0] = outer.likelihood[own]
+            block[own, :1] = outer.likelihood[own, None]
     evidence = _evidence(logs, log_weights, outer.model, outer.share)
     fresh = [pull[1:] if estimator.method == "contrastive" else pull for pull in evidence.pull]
     shared = sum(len(pull) * float(pull.var()) for pull in fresh if len(pull) > 1)
