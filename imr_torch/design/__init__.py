@@ -3,7 +3,7 @@
 from imr_torch.design.acquisition import ExpectedInformationGain
 from imr_torch.design.closed_form import linear_gaussian_gain
 from imr_torch.design.eig import Bracket, expected_information_gain, information_bracket
-from imr_torch.design.gain import Estimator, InformationGain
+from imr_torch.design.gain import Estimator, InformationGain, Method
 from imr_torch.design.optimizer import (
     POLICIES,
     Cost,
@@ -29,6 +29,7 @@ __all__ = [
     "Estimator",
     "ExpectedInformationGain",
     "InformationGain",
+    "Method",
     "Plan",
     "Policy",
     "Recommendation",

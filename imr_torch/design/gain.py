@@ -29,18 +29,18 @@ class Estimator:
     | ``paper`` | the data's own gels, used again | below ``log`` of the number of draws |
 
     Args:
-        method: which.
+        method: which. ``laplace`` is the cheapest and ranks designs; ``importance`` says how much the chosen one tells.
         draws: gels per constitutive model that data are made of (``paper``: on average, in proportion to probability).
         inner: draws behind each evidence: per datum and model, or (prior draws) per model.
         refinements: Gauss-Newton iterations that place the proposal where no datum's own gel can be the start.
         defence: share of each datum's inner samples from a wider proposal; 0 makes linear-Gaussian models exact.
     """
 
-    method: Method = "importance"
+    method: Method = "laplace"
     draws: int = 64
-    inner: int = 16
-    refinements: int = 3
-    defence: float = 0.1
+    inner: int = 32
+    refinements: int = 5
+    defence: float = 0.25
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
@@ -65,7 +65,8 @@ class InformationGain:
         variance: Monte Carlo variance of the sum of the two.
         counted: draws that could be simulated.
         drawn: draws asked for.
-        bias: how far the finite inner sums raise the value, at most and to first order; None for other methods.
+        bias: how far finite inner sums raise the value, to first order; None for other methods. It grows with the curvature of
+            posteriors that the samples did not see, so compare two sizes of ``inner``.
         effective: inner draws that effectively carry an evidence (Kish 1965), mean over data; near 1 the value is a bound.
     """
 

@@ -25,9 +25,9 @@ from imr_torch.design.response import Response, Shot, radii, respond
 from imr_torch.material import ModelBelief
 
 _LONGEST_STEP = 4.0  # standard deviations of the belief
-_SHORTER = 0.3  # factor on a step that made things worse
+_SHORTER = 0.3  # of a Gauss-Newton step, tried beside the whole one
 _CLOSE = 0.1  # posterior standard deviations from the optimum
-_WIDER = 3.0  # posterior standard deviations of the wider part of a proposal
+_WIDER = 2.0  # posterior standard deviations of the wider part of a proposal
 _HOPELESS = 25.0  # nats below the datum's own model: the evidence then need not be sampled
 
 
@@ -216,7 +216,7 @@ def _sampled_evidence(
 
 
 def _refine(data: Data, at: Response, shot: Shot, part: ModelBelief, iterations: int) -> Response:
-    """Gauss-Newton steps towards the optimum of each datum; one that worsens the posterior is tried again shorter."""
+    """Gauss-Newton steps towards the optimum of each datum: the better of two lengths, or shorter ones the next time."""
     length = torch.ones(len(data), 1, dtype=torch.float64)
     for _ in range(iterations):
         here = infer(data, at, shot.plan)
@@ -225,14 +225,16 @@ def _refine(data: Data, at: Response, shot: Shot, part: ModelBelief, iterations:
         if len(moving) == 0:
             break
         step = length * step * (_LONGEST_STEP / step.norm(dim=-1, keepdim=True).clamp_min(_LONGEST_STEP))
-        moved = respond(shot, part, (at.controls + step)[moving])
-        good = moved.good
-        better = torch.zeros(len(data), dtype=torch.bool)
-        kept, moved = moving[good], moved[good]
-        gain = _log_posterior(infer(data[kept], moved, shot.plan), moved) - _log_posterior(here, at)[kept]
-        better[kept[gain > 0.0]] = True
-        at = at.replaced(kept[gain > 0.0], moved[gain > 0.0])
-        length = torch.where(better[:, None], 1.0, _SHORTER * length)
+        value, better = _log_posterior(here, at), torch.zeros(len(data), dtype=torch.bool)
+        tried = respond(shot, part, torch.cat([(at.controls + part_of * step)[moving] for part_of in (1.0, _SHORTER)]))
+        for moved in (tried[: len(moving)], tried[len(moving) :]):
+            rows = moving[moved.good]
+            moved = moved[moved.good]
+            there = _log_posterior(infer(data[rows], moved, shot.plan), moved)
+            gains = there > value[rows]
+            at, value[rows[gains]] = at.replaced(rows[gains], moved[gains]), there[gains]
+            better[rows[gains]] = True
+        length = torch.where(better[:, None], 1.0, _SHORTER**2 * length)
     return at
 
 

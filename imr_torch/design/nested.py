@@ -59,7 +59,8 @@ def _evidence(logs: list[Tensor], log_weights: Tensor, model: Tensor, share: Ten
     """
     each = torch.stack([_log_mean(block) for block in logs])
     total = torch.logsumexp(each + log_weights[:, None], 0)
-    parts = [(block + w - math.log(max(block.shape[1], 1)) - total[:, None]).exp() for block, w in zip(logs, log_weights)]
+    scale = [w - math.log(max(block.shape[1], 1)) for block, w in zip(logs, log_weights.tolist(), strict=True)]
+    parts = [(block + w - total[:, None]).exp() for block, w in zip(logs, scale, strict=True)]
     square = torch.cat(parts, 1).square().sum(1)
     return _Evidence(each.gather(0, model[None])[0], total, [share @ part for part in parts], 1.0 / square)
 
@@ -82,9 +83,7 @@ class _Outer:
 
 def _outer(parts: list[Response], weights: Tensor, shot: Shot, source: torch.Generator) -> _Outer:
     data = [observe(part, shot.plan, source) for part in parts]
-    likelihood = [
-        log_likelihood(d, part.radius, part.by_nuisance, shot.plan) for d, part in zip(data, parts, strict=True)
-    ]
+    likelihood = [log_likelihood(d, part.radius, part.by_nuisance, shot.plan) for d, part in zip(data, parts, strict=True)]
     model = torch.cat([torch.full((len(part),), i) for i, part in enumerate(parts)])
     share = torch.cat([torch.full((len(part),), float(w) / max(len(part), 1)) for part, w in zip(parts, weights, strict=True)])
     every = Data(torch.cat([d.radius for d in data]), torch.cat([d.window for d in data]))
@@ -133,9 +132,5 @@ def paper(shot: Shot, estimator: Estimator, source: torch.Generator) -> Informat
     evidence = _evidence(logs, weights.log(), outer.model, outer.share)
     gain = _gain(outer, evidence, weights, drawn, 0.0)
     influence = outer.share * (outer.likelihood - evidence.total) - torch.cat(evidence.pull)
-    variance = sum(
-        float(rows.var()) * len(rows) for i in range(len(parts)) if len(rows := influence[outer.model == i]) > 1
-    )
-    return InformationGain(
-        gain.parameters, gain.model, variance, gain.counted, gain.drawn, None, gain.effective
-    )
+    variance = sum(float(rows.var()) * len(rows) for i in range(len(parts)) if len(rows := influence[outer.model == i]) > 1)
+    return InformationGain(gain.parameters, gain.model, variance, gain.counted, gain.drawn, None, gain.effective)

@@ -62,7 +62,9 @@ class Policy:
         if self.incumbent not in ("posterior mean", "best observed"):
             raise InputDataError(f"Policy.incumbent is {self.incumbent!r}; expected 'posterior mean' or 'best observed'.")
         if not 0.0 <= self.improvement < math.inf or (self.improvement and self.acquisition != "qEI"):
-            raise InputDataError(f"Policy.improvement is {self.improvement}; expected a finite number >= 0, and 0 for 'qLogNEI'.")
+            raise InputDataError(
+                f"Policy.improvement is {self.improvement}; expected a finite number >= 0, and 0 for 'qLogNEI'."
+            )
 
 
 POLICIES = {"qLogNEI": Policy(), "qEI": Policy("qEI"), "paper": Policy("qEI", 0.01, "best observed")}
@@ -208,7 +210,7 @@ class DesignOptimizer:
         cost = self.cost(self.train_X)
         if cost.shape != (len(self.train_X),) or not bool((torch.isfinite(cost) & (cost > 0.0)).all()):
             raise InputDataError(
-                f"cost of {len(self.train_X)} designs is {cost.tolist()}; expected as many finite positive numbers, one a design."
+                f"cost of {len(self.train_X)} designs is {cost.tolist()}; expected as many finite positive numbers."
             )
         return self.train_Y / cost[:, None], self.train_Yvar / cost[:, None].square()
 

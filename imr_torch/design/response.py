@@ -5,16 +5,17 @@ believed now, whatever the units of the parameters.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from imr_torch.design.plan import Plan
 from imr_torch.material import Belief, ModelBelief
-from imr_torch.observe import displaced
+from imr_torch.observe import Experiment, ExperimentBatch, predict
 from imr_torch.simulate import Simulator
 
-_STEP = 0.02  # finite-difference step, in standard deviations of the belief
+_STEP = 1e-4  # finite-difference step, in standard deviations of the belief; members of a bundle differ by nothing else
 _NEGLIGIBLE = 1e-4  # a model less probable than this changes the gain by less than .001 nats
 
 
@@ -38,6 +39,13 @@ class Shot:
         likely = self.belief.log_probabilities.exp() > _NEGLIGIBLE
         parts = tuple(part for part, keep in zip(self.belief.models, likely.tolist(), strict=True) if keep)
         object.__setattr__(self, "belief", Belief(parts, self.belief.log_probabilities[likely]))
+
+    @cached_property
+    def film(self) -> ExperimentBatch:
+        """The experiments as they will be predicted, without data."""
+        times, blank = self.plan.times, torch.zeros(1, len(self.plan.times), dtype=torch.float64)
+        shots = [Experiment(f"design {i + 1}", (x, y), times, blank) for i, (x, y) in enumerate(self.designs.tolist())]
+        return ExperimentBatch(tuple(shots), self.plan.noise)
 
 
 @dataclass(frozen=True)
@@ -76,12 +84,11 @@ class Response:
 
 def radii(shot: Shot, part: ModelBelief, controls: Tensor) -> Tensor:
     """R/Rmax of gels at controls: ``... x d`` to ``... x q x T``; NaN where the solve failed."""
-    parameters = part.parameters(part.mean + controls @ part.chol.mT)
-    return shot.simulator(parameters[..., None, :], shot.designs, shot.plan.times).radius
+    return predict(shot.simulator, part.parameters(part.mean + controls @ part.chol.mT), shot.film)
 
 
 def respond(shot: Shot, part: ModelBelief, controls: Tensor, *, gel: bool = True) -> Response:
-    """Radii and their sensitivities, by central differences.
+    """Radii and their sensitivities: each gel with its moved copies is a bundle that the solver advances in lock step.
 
     Args:
         shot: designs and how they are observed.
@@ -92,12 +99,12 @@ def respond(shot: Shot, part: ModelBelief, controls: Tensor, *, gel: bool = True
     d, q = controls.shape[1] if gel else 0, len(shot.designs)
     sds = shot.plan.nuisance.sds()
     uncertain = torch.nonzero(sds > 0.0)[:, 0].tolist()
-    moved = torch.zeros(1 + 2 * (d + len(uncertain)), controls.shape[1], dtype=torch.float64)
-    shift = torch.zeros(len(moved), 3, dtype=torch.float64)
-    for row, (target, column) in enumerate([(moved, i) for i in range(d)] + [(shift, i) for i in uncertain]):
-        target[1 + 2 * row, column], target[2 + 2 * row, column] = _STEP, -_STEP
+    moved = torch.zeros(1 + d + len(uncertain), controls.shape[1], dtype=torch.float64)
+    shifts = torch.zeros(len(moved), 1, 3, dtype=torch.float64)
+    for row, (target, column) in enumerate([(moved, i) for i in range(d)] + [(shifts[:, 0], i) for i in uncertain], start=1):
+        target[row, column] = _STEP
     parameters = part.parameters(part.mean + (controls[:, None] + moved) @ part.chol.mT)
-    true, times, factor = displaced(shot.designs, shot.plan.times.expand(q, -1), (shift * sds)[:, None])
-    radius = shot.simulator(parameters[:, :, None], true, times).radius * factor
-    slopes = ((radius[:, 1::2] - radius[:, 2::2]) / (2.0 * _STEP)).movedim(1, -1)
+    displacement = (shifts * sds).expand(len(controls), -1, q, -1) if uncertain else None
+    radius = predict(shot.simulator, parameters, shot.film, displacement, bundled=True)
+    slopes = ((radius[:, 1:] - radius[:, :1]) / _STEP).movedim(1, -1)
     return Response(controls, radius[:, 0], slopes[..., :d], slopes[..., d:])

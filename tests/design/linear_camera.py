@@ -37,7 +37,9 @@ class LinearCamera:
         """``... x 7 x 3`` for ``...`` Weber numbers."""
         k = torch.linspace(0.1, 2.0, 7, dtype=torch.float64)
         w = weber[..., None] / 500.0
-        return torch.stack((torch.sin(w * k), torch.cos(2.0 * w * k), 0.6 * k.expand(*w.shape[:-1], 7)), -1) / torch.tensor(self.units)
+        return torch.stack((torch.sin(w * k), torch.cos(2.0 * w * k), 0.6 * k.expand(*w.shape[:-1], 7)), -1) / torch.tensor(
+            self.units
+        )
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         shape, parameters, designs, times = broadcast_batch(parameters, designs, times)

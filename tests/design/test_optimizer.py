@@ -169,9 +169,8 @@ AXES = {"weber_settings": (150.0, 400.0, 650.0, 900.0), "rest_radius_settings": 
     ],
     ids=["list", "both axes", "We", "R_inf*"],
 )
-@pytest.mark.parametrize("policy", ["qLogNEI", "qEI"])
-def test_only_designs_that_can_be_set_are_asked_and_recommended(space, policy):
-    optimizer = run(policy, 11, space=space)
+def test_only_designs_that_can_be_set_are_asked_and_recommended(space):
+    optimizer = run("qLogNEI", 10, space=space)
     designs = torch.cat((optimizer.train_X, optimizer.recommend().design[None], optimizer.ask(1)))
     if space.designs:
         assert all(tuple(row) in LISTED for row in designs.tolist())
@@ -232,7 +231,7 @@ def test_costs_move_the_recommendation_to_information_per_cost():
 
 @pytest.mark.parametrize("cost", [lambda X: 0.0 * X[:, 0], lambda X: X, lambda X: X[:, 0] / 0.0])
 def test_a_cost_that_is_none_is_refused(cost):
-    with pytest.raises(InputDataError, match="expected as many finite positive numbers, one a design"):
+    with pytest.raises(InputDataError, match="expected as many finite positive numbers"):
         told(SPACE, utility, cost=cost).recommend()
 
 
