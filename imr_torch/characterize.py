@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate
+from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, ModelBelief, wide_prior
 from imr_torch.observe import (
@@ -27,7 +27,7 @@ from imr_torch.observe import (
     to_experiment,
 )
 from imr_torch.random import child
-from imr_torch.select import Evidence, evidences, update
+from imr_torch.select import Evidence, evidences, probability_errors, update
 from imr_torch.simulate import Simulator, TransportSimulator
 from imr_torch.types import Progress
 
@@ -74,6 +74,7 @@ class Characterization:
                 "log_evidence": evidence.value,
                 "log_evidence_error": evidence.error,
                 "effective_samples": evidence.effective_samples,
+                "gaussian_answer": fit.trust,
                 "certificate": certificate,
             }
         return {
@@ -92,16 +93,17 @@ class Characterization:
             f"correlation time {self.noise.correlation_time:g} in t*"
         ]
         order = sorted(self.assimilation.fits, key=lambda f: -self.posterior.probabilities[f.model])
+        errors = probability_errors(self.assimilation.prior, self.evidence)
         for fit in order:
             lines.append(
-                f"\n{fit.prior.material.title:10s} probability {self.posterior.probabilities[fit.model]:.3f}, "
-                f"RMSE {self.assimilation.rmse(fit.model):.4f} in R*"
+                f"\n{fit.prior.material.title:10s} probability {self.posterior.probabilities[fit.model]:.3f} "
+                f"+- {errors[fit.model]:.3f}, RMSE {self.assimilation.rmse(fit.model):.4f} in R*"
             )
             for parameter in (p for p in fit.prior.material.parameters if p.name in fit.prior.names):
                 low, middle, high = (parameter.display_scale * x for x in intervals(fit.posterior)[parameter.name])
                 unit = parameter.display_unit or ("" if parameter.unit == "1" else parameter.unit)
                 lines.append(f"  {parameter.name:6s} {middle:10.4g} {unit:5s} (90 %: {low:.4g} to {high:.4g})")
-            lines.append(f"  {fit.certificate}")
+            lines += [f"  {fit.certificate}", f"  {fit.trust}"]
         if len(self.experiments) > 1:
             worst = sorted(self.assimilation.rmse_by_experiment(order[0].model).items(), key=lambda item: -item[1])
             lines.append(f"\nRMSE of each curve under {order[0].prior.material.title}, largest first:")
@@ -188,7 +190,8 @@ def characterize(
     for number in range(1, rounds + 1):
         batch = ExperimentBatch(experiments, _noise_of(result))
         result = _fit(prior, batch, simulator, options, child(seed, "round", number), result, progress)
-    evidence = evidences(result, simulator, seed=child(seed, "evidence"))
+    result = weigh(result, simulator, seed=child(seed, "weigh"))
+    evidence = evidences(result)
     posterior = update(result, evidence)
     return Characterization(experiments, landmarks, result, evidence, posterior, time.process_time() - started)
 

@@ -8,7 +8,7 @@ import pytest
 import imr_torch
 
 PACKAGE = Path(imr_torch.__file__).parent
-STAGES = ("material", "simulate", "observe", "assimilate", "select", "design", "campaign", "gap")
+STAGES = ("material", "simulate", "observe", "assimilate", "select", "design", "campaign", "gap", "export")
 BASE = ("errors", "units", "random", "files", "types")
 
 
@@ -82,6 +82,9 @@ def test_that_the_stages_that_exist_were_looked_at() -> None:
         ("from .material import Belief", ("errors",), "material"),
         ("from imr_torch.cli import main", ("files",), "cli"),
         ("if True:\n    import imr_torch.gap", ("campaign", "loop"), "gap"),
+        ("from imr_torch.export import to_arviz", ("campaign", "loop"), "export"),
+        ("from imr_torch.cli import main", ("export", "arviz"), "cli"),
+        ("from imr_torch.characterize import characterize", ("export", "arviz"), "characterize"),
     ],
 )
 def test_that_the_checker_finds_an_import_against_the_flow(source: str, module: tuple[str, ...], culprit: str) -> None:
@@ -96,6 +99,8 @@ def test_that_the_checker_finds_an_import_against_the_flow(source: str, module: 
         ("from . import wall\nfrom ..errors import ImrError", ("simulate",), True),
         ("from imr_torch.errors import ImrError", ("random",), False),
         ("from imr_torch.gap import Gap\nimport imr_torch", ("cli", "common"), False),
+        ("from imr_torch.campaign import Campaign\nfrom imr_torch.assimilate import Assimilation", ("export", "arviz"), False),
+        ("from imr_torch.export import to_arviz", ("cli", "common"), False),
         ("from imr_torch_extras import thing", ("material", "terms"), False),
     ],
 )

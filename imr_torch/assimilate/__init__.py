@@ -1,16 +1,21 @@
 """Stage 4, what we learn: from experiments to a Gaussian for each model's parameters, with a certificate."""
 
 from imr_torch.assimilate.en4dvar import EnsembleOptions, assimilate
-from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
+from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
+from imr_torch.assimilate.importance import ImportanceSample
+from imr_torch.assimilate.trust import weigh
 
 __all__ = [
     "Assimilation",
     "Certificate",
     "EnsembleOptions",
+    "ImportanceSample",
     "ModelFit",
     "NormalEquations",
+    "Verdict",
     "assimilate",
     "ensemble_sensitivity",
     "normal_equations",
+    "weigh",
 ]

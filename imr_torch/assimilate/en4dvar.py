@@ -29,10 +29,10 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
-_DAMPINGS = (0.0, 1.0, 10.0, 100.0)  # tried together, times the current damping
+_DAMPINGS = (0.0, 1.0, 30.0)  # tried together, times the current damping
 _STUCK = 1e4  # damping at which nothing lowers the cost any more
 _LONGEST_STEP = 8.0  # prior standard deviations
-_SIDE = 1e-3  # prior standard deviations by which nuisances are moved for their sensitivity
+_SIDE = 1e-4  # prior standard deviations by which nuisances are moved for their sensitivity
 _NEAR = 1.0  # posterior standard deviations from a minimum at which a chain keeps its leader
 _RESTART = 0.25  # prior standard deviations
 
@@ -42,22 +42,26 @@ class EnsembleOptions:
     """How the assimilation searches.
 
     Args:
-        members: ensemble size, even; two for each free parameter when not given.
+        members: ensemble size, even, in opposite pairs; when not given, one for each free parameter, on one side of it,
+            which is as good while ``spread`` is small.
         scouts: prior draws from which the starts are chosen.
         starts: independent searches per model; two or more, so that they can agree.
         iterations: most Gauss-Newton iterations.
         spread: size of the ensemble in posterior standard deviations.
         gradient: tolerance of the whitened gradient; 1e-3 leaves 5e-7 nats.
         agreement: tolerance of the cost difference between the two best starts, nats.
+        hopeless: a start rests, unconverged, once its cost less what its gradient promises is worse than the best cost of
+            any model by more than this, nats; never when not given.
     """
 
     members: int | None = None
     scouts: int = 192
     starts: int = 3
     iterations: int = 60
-    spread: float = 1e-3
+    spread: float = 1e-4
     gradient: float = 1e-3
     agreement: float = 0.1
+    hopeless: float | None = None
 
     def __post_init__(self) -> None:
         if self.members is not None and (self.members < 2 or self.members % 2):
@@ -110,6 +114,7 @@ def assimilate(
     search = _Search(belief, batch, simulator, options, seed, near, starts)
     for iteration in range(options.iterations):
         search.iterate()
+        search.give_up()
         search.settle()
         search.restart()
         if progress:
@@ -147,7 +152,10 @@ class _Search:
         self.columns = torch.nonzero((self.sds > 0.0).any(0))[:, 0]  # nuisances that anything is uncertain about
         self.size = max(len(part.names) for part in belief.models)
         source = generator(child(seed, "assimilate"))
-        self.anomalies = options.spread * _antithetic(options.members or 2 * self.size, self.size, source)
+        if options.members is None:
+            self.anomalies = options.spread * torch.eye(self.size, dtype=torch.float64)
+        else:
+            self.anomalies = options.spread * _antithetic(options.members, self.size, source)
         self.model = torch.arange(len(belief.models)).repeat_interleave(options.starts)
         if starts is not None:
             self._start_at(starts)
@@ -277,9 +285,9 @@ class _Search:
         """Costs, ensemble sensitivities and gradients at the current points, each in the bundle of its leader."""
         gel, nuisances, led = self.gel[chains], self.nuisances[chains], self.led[chains]
         anomalies = self.anomalies @ self.chol[chains].mT
-        sides = torch.zeros(2 * len(self.columns), 1, 3, dtype=torch.float64)
+        sides = torch.zeros(len(self.columns), 1, 3, dtype=torch.float64)
         for i, column in enumerate(self.columns.tolist()):
-            sides[2 * i, 0, column], sides[2 * i + 1, 0, column] = _SIDE, -_SIDE
+            sides[i, 0, column] = _SIDE
         leader = torch.where(led[:, None], self.leader_gel[chains], gel)[:, None]
         controls = (leader, gel[:, None], gel[:, None] + anomalies, gel[:, None].expand(-1, len(sides), -1))
         leader = torch.where(led[:, None, None], self.leader_nuisances[chains], nuisances)[:, None]
@@ -298,7 +306,7 @@ class _Search:
         by_gel = ensemble_sensitivity(anomalies[:, None], responses)
         by_nuisance = torch.zeros(*centre.shape, 3, dtype=torch.float64)
         for i, column in enumerate(self.columns.tolist()):
-            difference = (sides[:, 2 * i] - sides[:, 2 * i + 1]) / (2.0 * _SIDE)
+            difference = (sides[:, i] - centre) / _SIDE
             by_nuisance[..., column] = difference.nan_to_num()
         slope = self._slope(centre)
         gradients = (by_gel.mT @ slope[..., None])[..., 0].sum(-2), (by_nuisance.mT @ slope[..., None])[..., 0]
@@ -356,6 +364,13 @@ class _Search:
                 first = close[0]
                 self.led[chain] = True
                 self.leader_gel[chain], self.leader_nuisances[chain] = self.leader_gel[first], self.leader_nuisances[first]
+
+    def give_up(self) -> None:
+        """Let starts rest whose model the best one has left behind."""
+        if self.options.hopeless is None:
+            return
+        promised = self.cost - 2.0 * self.gradient.clamp_max(1e6).square()  # Gauss-Newton promises a quarter of that
+        self.finished |= promised > self.cost.min() + self.options.hopeless
 
     def settle(self) -> None:
         """Let the other starts of a model rest once its best one has converged and a second agrees with it."""
@@ -417,7 +432,7 @@ class _Search:
             chol=self.chol[best, :free, :free],
             nuisances=self.nuisances[best],
             nuisance_response=equations.reduced.nuisance_response[..., :free],
-            nuisance_log_det=float(equations.reduced.nuisance_log_det),
+            nuisance_chol=torch.linalg.cholesky(equations.nuisance_hessian),
             cost=float(self.cost[best]),
             prediction=prediction[0],
             certificate=certificate,

@@ -1,10 +1,16 @@
-"""What an assimilation returns: for each model the fitted Gaussian, and the certificate that says whether to lean on it."""
+"""What an assimilation returns: for each model the fitted Gaussian, and what says whether to lean on it.
+
+The certificate says whether the optimum was found; the importance sample, once :func:`imr_torch.assimilate.weigh` has
+drawn it, says whether the Gaussian about the optimum is a fair picture of the posterior, and repairs its moments where not.
+"""
 
 from dataclasses import dataclass
+from enum import Enum
 
 import torch
 from torch import Tensor
 
+from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import ExperimentBatch
 
@@ -35,6 +41,19 @@ class Certificate:
         )
 
 
+class Verdict(Enum):
+    """What becomes of a Gaussian answer."""
+
+    UNCHECKED = "unchecked"
+    TRUSTED = "trusted"
+    REPAIRED = "repaired"
+    REFUSED = "NOT TO BE TRUSTED"
+
+
+_SAME = 0.05  # nats between Gaussians: a mean a third of an sd off, or an sd 20 % off
+_AGAIN = 0.1  # the same between two rounds, each with its error
+
+
 @dataclass(frozen=True)
 class ModelFit:
     """The fit of one model. The control ``v`` is the prior's own standard normal: ``z = mean + chol v``.
@@ -45,10 +64,11 @@ class ModelFit:
         chol: ``d x d`` tensor, Cholesky factor of its covariance, nuisances marginalised.
         nuisances: ``E x 3`` tensor, standardised nuisances at the optimum.
         nuisance_response: ``E x 3 x d`` tensor, how they move with ``v``.
-        nuisance_log_det: log determinant of the nuisances' Hessian.
+        nuisance_chol: ``E x 3 x 3`` tensor, lower Cholesky factors of the nuisances' Hessian.
         cost: negative log of likelihood x prior at the optimum, without the constants of the priors.
         prediction: ``E x T`` tensor, R/Rmax at the optimum.
         certificate: whether it converged.
+        sample: draws weighed by the exact posterior; None before :func:`imr_torch.assimilate.weigh`.
     """
 
     prior: ModelBelief
@@ -56,10 +76,11 @@ class ModelFit:
     chol: Tensor
     nuisances: Tensor
     nuisance_response: Tensor
-    nuisance_log_det: float
+    nuisance_chol: Tensor
     cost: float
     prediction: Tensor
     certificate: Certificate
+    sample: ImportanceSample | None = None
 
     @property
     def model(self) -> str:
@@ -68,17 +89,52 @@ class ModelFit:
 
     @property
     def posterior(self) -> ModelBelief:
-        """The model's belief after the data."""
-        mean = self.prior.mean + self.prior.chol @ self.mean
-        return self.prior.with_gaussian(mean, torch.linalg.cholesky(_covariance(self.prior.chol @ self.chol)))
+        """The model's belief after the data: the Gaussian, or the moments of the weighed draws where those repair it."""
+        if self.verdict is Verdict.REPAIRED:
+            assert self.sample is not None
+            mean, covariance = self.sample.mean, self.sample.covariance
+        else:
+            mean, covariance = self.mean, self.chol @ self.chol.mT
+        covariance = self.prior.chol @ covariance @ self.prior.chol.mT
+        return self.prior.with_gaussian(self.prior.mean + self.prior.chol @ mean, torch.linalg.cholesky(covariance))
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the Gaussian answer stands: its moments are those found by weighing; or else were found twice over."""
+        sample = self.sample
+        if sample is None:
+            return Verdict.UNCHECKED
+        if sample.reliable and sample.divergence(self.mean, self.chol) < _SAME:
+            return Verdict.TRUSTED
+        return Verdict.REPAIRED if sample.reliable and sample.surprise < _AGAIN else Verdict.REFUSED
+
+    @property
+    def trust(self) -> str:
+        """The verdict with its reasons, one line."""
+        if self.sample is None:
+            return f"Gaussian answer {self.verdict.value}"
+        sample = self.sample
+        shape = f"k {sample.pareto_k:.2f}"
+        if sample.rounds > 1:
+            shape = f"k {sample.first_shape:.2f}, {sample.pareto_k:.2f} after {sample.rounds} rounds"
+        line = f"Gaussian answer {self.verdict.value} ({shape}, ESS {sample.effective_samples:.0f} of {len(sample)}"
+        if self.verdict is Verdict.REPAIRED:
+            moved = ((sample.mean - self.mean).abs() / torch.linalg.norm(self.chol, dim=1)).amax()
+            line += f", means moved by up to {float(moved):.2f} sd"
+        return line + ("); take more samples, or NUTS" if self.verdict is Verdict.REFUSED else ")")
+
+    def nuisances_at(self, controls: Tensor) -> Tensor:
+        """Most probable nuisances given the gel, linearised: ``... x d`` to ``... x E x 3``."""
+        deviation = controls - self.mean
+        return self.nuisances + (self.nuisance_response @ deviation[..., None, :, None])[..., 0]
+
+    def nuisance_noise(self, noise: Tensor) -> Tensor:
+        """Standard normal numbers ``... x E x 3`` as deviations of the nuisances given the gel."""
+        return torch.linalg.solve_triangular(self.nuisance_chol.mT, noise[..., None], upper=True)[..., 0]
 
     def parameters(self, controls: Tensor) -> Tensor:
         """Shared parameter vectors at controls ``v``: ``... x d`` to ``... x p``, SI."""
         return self.prior.parameters(self.prior.mean + controls @ self.prior.chol.mT)
-
-
-def _covariance(factor: Tensor) -> Tensor:
-    return factor @ factor.mT
 
 
 @dataclass(frozen=True)

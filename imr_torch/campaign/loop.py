@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate
+from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate, weigh
 from imr_torch.campaign.journal import Journal
 from imr_torch.design import (
     DesignOptimizer,
@@ -48,7 +48,7 @@ class CampaignSettings:
         evaluations: designs evaluated in each search.
         initial: of which space-filling.
         collapses: collapses in the window that is assimilated.
-        evidence_samples: importance samples of each evidence.
+        evidence_samples: importance samples of each model and round, for evidence and moments.
         ensemble: how the assimilation searches.
     """
 
@@ -161,7 +161,7 @@ class Campaign:
             if event["event"] == "experiment":
                 self.experiments.append(self.journal.restore(event["record"]))
             elif event["event"] == "belief":
-                evidence = tuple(Evidence(**entry) for entry in event["evidence"])
+                evidence = tuple(Evidence(**_infinite(entry)) for entry in event["evidence"])
                 self.steps.append(Step(event["step"], Belief.from_dict(event["belief"]), evidence))
 
     @property
@@ -240,15 +240,17 @@ class Campaign:
             options=self.settings.ensemble,
             progress=progress,
         )
-        seed = child(self.seed, "evidence", number)
-        evidence = evidences(result, self.simulator, seed=seed, samples=self.settings.evidence_samples)
+        seed = child(self.seed, "weigh", number)
+        result = weigh(result, self.simulator, seed=seed, samples=self.settings.evidence_samples)
+        evidence = evidences(result)
         belief = update(result, evidence)
         self.journal.append(
             "belief",
             step=number,
             belief=belief.to_dict(),
-            evidence=[asdict(e) for e in evidence],
+            evidence=[_finite(asdict(e)) for e in evidence],
             certificates={fit.model: _finite(asdict(fit.certificate)) for fit in result.fits},
+            gaussian_answer={fit.model: fit.trust for fit in result.fits},
         )
         self.steps.append(Step(number, belief, evidence, result))
         return self.steps[-1]
@@ -282,3 +284,8 @@ def _through_json(document: Any) -> Any:
 
 def _finite(values: dict[str, Any]) -> dict[str, Any]:
     return {k: (None if isinstance(v, float) and not math.isfinite(v) else v) for k, v in values.items()}
+
+
+def _infinite(values: dict[str, Any]) -> dict[str, Any]:
+    """Inverse of :func:`_finite`; the one number of an evidence that may be infinite is the shape of its tail."""
+    return {k: (math.inf if v is None else v) for k, v in values.items()}

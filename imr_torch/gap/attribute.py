@@ -27,7 +27,7 @@ ADEQUATE = 0.01
 
 _ROUND = 6  # effects refitted together
 _BEHIND = 8.0  # nats by which the best possible evidence of the rest must lag for refitting to stop
-_LOOSE = EnsembleOptions(iterations=25, gradient=5e-3)
+_LOOSE = EnsembleOptions(iterations=25, hopeless=12.0)
 
 
 @dataclass(frozen=True)

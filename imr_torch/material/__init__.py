@@ -15,7 +15,7 @@ from imr_torch.material.integral import (
     response_slopes,
     stress_integral,
 )
-from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
+from imr_torch.material.marginals import LogNormal, Marginal, Quantile, TruncatedNormal
 from imr_torch.material.models import MATERIALS, Material, material, materials, register
 from imr_torch.material.parameters import PARAMETERS, Parameter, dimensionless
 from imr_torch.material.stress import AnyTerm, MemoryTerm, Stress, StressSlopes, StressTerm
@@ -34,6 +34,7 @@ __all__ = [
     "MemoryTerm",
     "ModelBelief",
     "Parameter",
+    "Quantile",
     "ReferenceCase",
     "Response",
     "ResponseSlopes",

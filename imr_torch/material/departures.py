@@ -93,21 +93,20 @@ class GradedModulus:
     def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
         """See :class:`imr_torch.material.stress.StressTerm`."""
         stretch = radius / rest_radius
-        near = (stretch.real - 1.0).abs() < 1e-4
-        stretch = torch.where(near, stretch + 1e-4, stretch)  # 0/0 in the weight: the integral itself vanishes there
+        span = torch.log(stretch)
+        near = span.real.abs() < 1e-4  # 0/0 in the weight: two terms of its series serve there
+        wide = torch.where(near, torch.ones_like(span), span)
         nodes = 0.5 * (1.0 + _NODES.to(radius)).reshape(-1, *[1] * radius.ndim)
         weights = 0.5 * _WEIGHTS.to(radius).reshape(nodes.shape)
-        span = torch.log(stretch)
-        b = torch.exp(nodes * span)
-        cube = stretch**3 - 1.0
-        share = (b**3 - 1.0) / cube
-        density = (1.0 / b + b**-4) * weights
-        whole = span * (density * share).sum(0)
-        scale = -2.0 * theta["G"] * theta["graded_modulus"]
+        b, l3 = torch.exp(nodes * wide), torch.exp(3.0 * wide)
+        share = (b**3 - 1.0) / (l3 - 1.0)
+        whole = wide * ((1.0 / b + b**-4) * share * weights).sum(0)
         # d/d ln l: the density at the wall, and the weight of all the rest falling as 1/(l^3 - 1)
-        slope = (1.0 / stretch + stretch**-4) - 3.0 * stretch**3 / cube * whole
-        zero = torch.zeros_like(whole)
-        return Stress(torch.where(near, zero, scale * whole), scale * slope * velocity / radius, zero)
+        slope = torch.exp(-wide) + torch.exp(-4.0 * wide) - 3.0 * l3 / (l3 - 1.0) * whole
+        whole = torch.where(near, span * (1.0 - 13.0 / 6.0 * span), whole)
+        slope = torch.where(near, 1.0 - 13.0 / 3.0 * span, slope)
+        scale = -2.0 * theta["G"] * theta["graded_modulus"]
+        return Stress(scale * whole, scale * slope * velocity / radius, torch.zeros_like(whole))
 
 
 class PermanentSet:

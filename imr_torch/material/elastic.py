@@ -91,11 +91,21 @@ class LinearElasticity:
         return _elastic_slopes(slope, -3.0 * slope, radius, velocity)
 
 
-_NODES, _WEIGHTS = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(24))
+def _graded_rule(count: int) -> tuple[Tensor, Tensor]:
+    """Nodes and weights on [0, 1], Gauss-Legendre in ``u`` of ``1 - (1 - u)^2``: dense at 1, where exponentials live."""
+    nodes, weights = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(count))
+    left = 0.5 * (1.0 - nodes)
+    return 1.0 - left * left, weights * left
+
+
+_NODES, _WEIGHTS = _graded_rule(32)
 
 
 class _FungElasticity:
-    """Stiffening beyond neo-Hookean, ``2 (b^-2 + b^-5) G (f(I_1 - 3) - 1)`` integrated over ``ln b`` by Gauss-Legendre."""
+    """Stiffening beyond neo-Hookean, ``2 (b^-2 + b^-5) G (f(I_1 - 3) - 1)`` integrated over ``ln b`` by quadrature.
+
+    The error is below 1e-11 of the integral up to ``alpha (I_1 - 3) = 20`` and below 1e-6 up to 100.
+    """
 
     names: ClassVar[tuple[str, ...]]
     switch: ClassVar[str]
@@ -108,8 +118,8 @@ class _FungElasticity:
     def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
         """See :class:`imr_torch.material.stress.StressTerm`."""
         stretch = radius / rest_radius
-        nodes = 0.5 * (1.0 + _NODES.to(radius)).reshape(-1, *[1] * radius.ndim)
-        weights = 0.5 * _WEIGHTS.to(radius).reshape(nodes.shape)
+        nodes = _NODES.to(radius).reshape(-1, *[1] * radius.ndim)
+        weights = _WEIGHTS.to(radius).reshape(nodes.shape)
         span = torch.log(stretch)
         value = span * (weights * self._density(torch.exp(nodes * span), theta)).sum(0)
         rate = self._density(stretch, theta) * velocity / radius

@@ -147,10 +147,12 @@ class StandardNonlinearSolid(_StandardSolid):
 
 
 class OldroydB:
-    """Upper-convected Maxwell branch with a solvent: two states, the radial and the hoop part of its stress integral.
+    """Upper-convected Maxwell branch with a solvent, its stress integral in closed form with two states.
 
     ``Z_1' = -(1/De - 2U/R) Z_1 - 2 (1 - s) R^2 U/(Re De)``, ``Z_2' = -(1/De + U/R) Z_2 - 2 (1 - s) R^2 U/(Re De)``,
-    ``S = (Z_1 + Z_2)/R^3 - 4 s U/(Re R)`` (Warnez & Johnsen 2015, section II.C). The states are ``Z/R^3``.
+    ``S = (Z_1 + Z_2)/R^3 - 4 s U/(Re R)`` (Warnez & Johnsen 2015, section II.C). The states are ``Z/R^3``. Each shell of the
+    gel keeps ``r^3 - R^3``, so its stress is an integral over its past; integrated over the shells first, the past enters by
+    ``(R/R')^2 + R'/R`` alone, one state for each. Neither is the radial or the hoop stress; their sum is exact.
     """
 
     names: ClassVar[tuple[str, ...]] = ("mu", "tau_ucm", "retardation")

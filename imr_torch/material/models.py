@@ -16,7 +16,7 @@ from imr_torch.material.elastic import (
     SecondOrderFung,
     StrainStiffening,
 )
-from imr_torch.material.integral import stress_integral
+from imr_torch.material.integral import TERMS, stress_integral
 from imr_torch.material.memory import MaxwellBranch, OldroydB, StandardLinearSolid, StandardNonlinearSolid
 from imr_torch.material.parameters import PARAMETERS, Parameter
 from imr_torch.material.stress import AnyTerm, Stress
@@ -211,7 +211,8 @@ class Extended(Material):
         self.base, self.extra = base, extra
         self.key = "+".join((base.key, *extra))
         self.title = " + ".join((base.title, *extra))
-        self.reference, self.terms, self.known = base.reference, base.terms, base.known
+        self.reference, self.known = base.reference, base.known
+        self.terms = (*base.terms, *(term for term in TERMS if term.switch in extra))
 
     @property
     def names(self) -> tuple[str, ...]:

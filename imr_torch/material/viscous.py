@@ -48,7 +48,7 @@ class CarreauThinning:
     """What shear thinning takes off the Newtonian term: ``mu(g) = mu (1 + (t_s g)^2)^(-s/2)``, Carreau (1972).
 
     ``s = 1 - n`` with the flow index ``n``; ``s = 0`` is Newtonian. The integral over the gel is taken by Gauss-Legendre
-    quadrature in ``asinh`` of the shear rate, where the integrand is smooth: 16 nodes leave less than 1e-10 of it up to
+    quadrature in ``asinh`` of the shear rate, where the integrand is smooth: 16 nodes leave less than 1e-12 of ``mu`` up to
     ``t_s g = 1e4``.
     """
 
@@ -64,8 +64,9 @@ class CarreauThinning:
         span = torch.asinh(reduced)
         nodes = 0.5 * (1.0 + _NODES.to(radius)).reshape(-1, *[1] * radius.ndim)
         weights = 0.5 * _WEIGHTS.to(radius).reshape(nodes.shape)
-        power = torch.cosh(nodes * span) ** (1.0 - theta["thinning"])
+        cosh = torch.cosh(nodes * span)
+        thinned = -cosh * torch.expm1(-theta["thinning"] * torch.log(cosh))  # exactly 0 without thinning
         stretch = torch.where(reduced == 0.0, 1.0, span / torch.where(reduced == 0.0, 1.0, reduced))
-        lost = 1.0 - stretch * (weights * power).sum(0)  # mean viscosity over mu
-        lost_at_wall = 1.0 - (1.0 + reduced**2) ** (-0.5 * theta["thinning"])
+        lost = stretch * (weights * thinned).sum(0)  # of the mean viscosity over mu
+        lost_at_wall = -torch.expm1(-0.5 * theta["thinning"] * torch.log(1.0 + reduced**2))
         return Stress(factor * strain * lost, -factor * lost_at_wall * strain * strain, factor * lost_at_wall / radius)

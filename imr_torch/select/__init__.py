@@ -1,6 +1,16 @@
-"""Stage 5, which model: evidence with its Monte Carlo error, and probabilities."""
+"""Stage 5, which model: evidence with its Monte Carlo error, probabilities, and predictive scores beside them."""
 
 from imr_torch.select.evidence import Evidence, evidences, log_evidence
-from imr_torch.select.probabilities import update
+from imr_torch.select.predictive import PredictiveScore, cross_validate, predictive_density
+from imr_torch.select.probabilities import probability_errors, update
 
-__all__ = ["Evidence", "evidences", "log_evidence", "update"]
+__all__ = [
+    "Evidence",
+    "PredictiveScore",
+    "cross_validate",
+    "evidences",
+    "log_evidence",
+    "predictive_density",
+    "probability_errors",
+    "update",
+]

@@ -79,6 +79,7 @@ class DriveSlopes:
     far_bend: Tensor
 
 
+@dataclass(frozen=True)
 class RadialEquation:
     """One member of the family, in pressure; subclasses change what the liquid does."""
 
@@ -157,6 +158,7 @@ class RadialEquation:
         )
 
 
+@dataclass(frozen=True)
 class RayleighPlesset(RadialEquation):
     """An incompressible liquid: the speed of sound plays no part."""
 
@@ -168,6 +170,7 @@ class RayleighPlesset(RadialEquation):
         return zero, zero
 
 
+@dataclass(frozen=True)
 class KellerMiksis(RadialEquation):
     """Compressible to first order in the Mach number, in pressure: the default."""
 

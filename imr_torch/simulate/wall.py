@@ -71,13 +71,13 @@ def gel_memory_rate(bubbles: Bubbles, head: Head) -> Tensor:
 
 
 def leak(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Rate at which gas is lost while ``R < R_inf``, ``-n'/n = eta |U|/R (1 - R/R_inf)``, and its derivatives in R and U."""
+    """Rate at which gas is lost while ``R < R_inf``, ``-n'/n = eta |U|/R (1 - R/R_inf)^2``, and its derivatives in R and U."""
     rate, rest = bubbles.theta["gas_loss"], bubbles["rest_radius"]
     root = torch.sqrt(velocity * velocity + _SMOOTH**2)
     depth = (1.0 - radius / rest).clamp_min(0.0)
     scale = rate * (root - _SMOOTH) / radius
-    by_radius = -scale * (depth / radius + (depth > 0.0) / rest)
-    return scale * depth, by_radius, rate * velocity / root / radius * depth
+    by_radius = -scale * depth * (depth / radius + 2.0 / rest)
+    return scale * depth**2, by_radius, rate * velocity / root / radius * depth**2
 
 
 def acceleration_slopes(bubbles: Bubbles, head: Head) -> tuple[Tensor, HeadSlopes]:

@@ -12,7 +12,7 @@ from scipy.integrate import quad
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.material import LogNormal, Marginal, TruncatedNormal
+from imr_torch.material import LogNormal, Marginal, Quantile, TruncatedNormal
 from imr_torch.material.marginals import MARGINALS, marginal_from_dict, marginal_to_dict, ndtr
 
 INF = math.inf
@@ -29,6 +29,10 @@ def truncated(mean: float, sd: float, lower: float = -INF, upper: float = INF) -
     return Case(TruncatedNormal(mean, sd, lower, upper), law)
 
 
+def quantile_case(family: str, **arguments: float) -> Case:
+    return Case(Quantile(family, arguments), getattr(stats, family)(**arguments))
+
+
 CASES = {
     "unbounded": truncated(0.3, 2.0),
     "published G": truncated(15090.0, 4350.0, 0.0),
@@ -40,6 +44,10 @@ CASES = {
     "from above": truncated(2.0, 1.0, -INF, 1.5),
     "narrow": truncated(0.0, 1.0, 0.1, 0.1001),
     "wide log-normal": Case(LogNormal(5e3, 5.0), stats.lognorm(math.log(5.0), scale=5e3)),
+    "gamma": quantile_case("gamma", a=2.5, scale=3000.0),
+    "beta": quantile_case("beta", a=2.0, b=5.0),
+    "uniform": quantile_case("uniform", loc=500.0, scale=9500.0),
+    "student t": quantile_case("t", df=7.0, loc=1.0, scale=0.3),
     "narrow log-normal": Case(LogNormal(0.1, 1.05), stats.lognorm(math.log(1.05), scale=0.1)),
 }
 ALL = pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
@@ -51,10 +59,16 @@ def controls(values: list[float] = TAILS) -> Tensor:
 
 
 def quantile(marginal: Marginal, z: float) -> float:
-    """The value of the same probability as ``z`` by its closed form with 80 digits (SciPy's own tail is short of them)."""
+    """The value of the same probability as ``z`` by its closed form with 80 digits (SciPy's own tail is short of them).
+
+    Of a distribution without one, SciPy's from the nearer tail.
+    """
     mpmath.mp.dps = 80
     if isinstance(marginal, LogNormal):
         return float(mpmath.mpf(marginal.median) * mpmath.exp(mpmath.log(marginal.factor) * z))
+    if isinstance(marginal, Quantile):
+        law = getattr(stats, marginal.family)(**marginal.arguments)
+        return float(law.ppf(stats.norm.cdf(z)) if z < 0.0 else law.isf(stats.norm.sf(z)))
     ends = [(mpmath.mpf(bound) - marginal.mean) / marginal.sd for bound in (marginal.lower, marginal.upper)]
     below, top = (mpmath.ncdf(end) for end in ends)
     p = below + (top - below) * mpmath.ncdf(z)
@@ -64,6 +78,8 @@ def quantile(marginal: Marginal, z: float) -> float:
 def scale(case: Case) -> float:
     """What rounding is relative to: values next to a bound at zero are differences of numbers of this size."""
     marginal = case.marginal
+    if isinstance(marginal, Quantile):
+        return abs(float(case.law.mean())) + float(case.law.std())
     return max(abs(marginal.mean), marginal.sd) if isinstance(marginal, TruncatedNormal) else 0.0
 
 
@@ -192,6 +208,13 @@ def test_that_a_marginal_survives_its_dictionary(case: Case) -> None:
 
 
 @ALL
+def test_that_autograd_follows_the_map(case: Case) -> None:
+    z = torch.linspace(-4.0, 4.0, 33, dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(case.marginal.to_physical(z).sum(), z)
+    torch.testing.assert_close(slope, case.marginal.log_slope(z.detach()).exp(), rtol=1e-8, atol=0.0)
+
+
+@ALL
 def test_that_the_input_is_not_changed_and_any_shape_goes_through(case: Case) -> None:
     z = torch.linspace(-3.0, 3.0, 12, dtype=torch.float64).reshape(3, 1, 4)
     before = z.clone()
@@ -219,7 +242,13 @@ def test_that_the_input_is_not_changed_and_any_shape_goes_through(case: Case) ->
         (lambda: LogNormal(math.nan, 2.0), r"LogNormal.median is nan"),
         (lambda: LogNormal(1.0, 1.0), r"a spread needs a factor above 1"),
         (lambda: LogNormal(1.0, math.inf), r"LogNormal.factor is inf"),
-        (lambda: marginal_from_dict({"kind": "Gamma"}), r"Unknown prior kind 'Gamma'; known are TruncatedNormal, LogNormal"),
+        (
+            lambda: marginal_from_dict({"kind": "Gamma"}),
+            r"Unknown prior kind 'Gamma'; known are TruncatedNormal, LogNormal, Quantile",
+        ),
+        (lambda: Quantile("poisson", {"mu": 1.0}), r"scipy.stats has no continuous distribution named 'poisson'"),
+        (lambda: Quantile("gamma", {"scale": 1.0}), r"scipy.stats.gamma with \{'scale': 1.0\}: .*'a'"),
+        (lambda: Quantile("gamma", {"a": -1.0}), r"scipy.stats.gamma has no median with \{'a': -1.0\}"),
         (lambda: marginal_from_dict({"mean": 1.0}), r"Unknown prior kind None"),
         (lambda: marginal_from_dict({"kind": "LogNormal", "median": 1.0}), r"Prior of the kind LogNormal: .*factor"),
         (

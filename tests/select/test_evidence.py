@@ -6,11 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate
-from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate, weigh
+from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Nuisance
-from imr_torch.select import Evidence, evidences, log_evidence, update
+from imr_torch.select import Evidence, evidences, log_evidence, probability_errors, update
 from tests.linear import CORRELATED, MEANS, MODELS, NOISE, SDS, LinearSimulator, exact, experiments, prior, tensor
 
 OPTIONS = EnsembleOptions(scouts=24)
@@ -29,6 +29,16 @@ def fitted(batch: ExperimentBatch, belief: Belief | None = None) -> Assimilation
     return assimilate(belief or prior(), batch, LinearSimulator(), seed=1, options=OPTIONS)
 
 
+def weighed(fit: ModelFit, batch: ExperimentBatch, simulator: LinearSimulator | None = None, **options) -> Evidence:
+    """Evidence of one fit from its own draws."""
+    belief = Belief((fit.prior,), tensor(0.0))
+    return log_evidence(weigh(Assimilation(belief, batch, (fit,)), simulator or LinearSimulator(), **options).fits[0])
+
+
+def found(assimilation: Assimilation, *, seed: int, samples: int = 256) -> tuple[Evidence, ...]:
+    return evidences(weigh(assimilation, LinearSimulator(), seed=seed, samples=samples))
+
+
 @pytest.fixture(scope="module")
 def simple() -> tuple[ExperimentBatch, ModelFit, float]:
     batch, belief = experiments(3, nuisance=BOTH), prior(("nhkv",))
@@ -39,9 +49,7 @@ def simple() -> tuple[ExperimentBatch, ModelFit, float]:
 @pytest.mark.parametrize("batch", BATCHES.values(), ids=BATCHES.keys())
 def test_that_the_evidence_is_within_four_errors_of_its_closed_form(batch: ExperimentBatch, correlated: bool) -> None:
     belief = prior(correlated=correlated)
-    for part, evidence in zip(
-        belief.models, evidences(fitted(batch, belief), LinearSimulator(), seed=3, samples=1024), strict=True
-    ):
+    for part, evidence in zip(belief.models, found(fitted(batch, belief), seed=3, samples=1024), strict=True):
         assert evidence.model == part.model
         assert evidence.error < 0.03
         assert evidence.value == pytest.approx(exact(part, batch).log_evidence, abs=4.0 * evidence.error)
@@ -52,23 +60,34 @@ def test_that_the_evidence_is_within_four_errors_of_its_closed_form(batch: Exper
 @pytest.mark.parametrize("samples", [64, 1024])
 def test_that_the_stated_error_is_the_scatter_over_seeds(simple, samples: int) -> None:
     batch, fit, truth = simple
-    runs = [log_evidence(fit, batch, LinearSimulator(), seed=seed, samples=samples) for seed in range(100)]
+    runs = [weighed(fit, batch, seed=seed, samples=samples) for seed in range(100)]
     values, errors = tensor(*[r.value for r in runs]), tensor(*[r.error for r in runs])
     scatter = float((values - truth).square().mean().sqrt())
     assert scatter == pytest.approx(float(errors.square().mean().sqrt()), rel=0.3)
     assert abs(float(values.mean()) - truth) < 4.0 * scatter / 10.0 + float(errors.mean()) ** 2
 
 
-def test_that_evidence_multiplies_over_batches_seen_in_turn() -> None:
-    """``p(y1, y2) = p(y1) p(y2 | y1)``, the second with the first one's posterior as prior."""
-    belief, batch = prior(("gen_qkv",)), experiments(4, nuisance=BOTH)
-    first, second = (ExperimentBatch(part, NOISE) for part in (batch.experiments[:2], batch.experiments[2:]))
-    start = fitted(first, belief)
-    middle = Belief((start.fits[0].posterior,), tensor(0.0))
-    parts = [log_evidence(start.fits[0], first, LinearSimulator(), seed=0, samples=2048)]
-    parts.append(log_evidence(fitted(second, middle).fits[0], second, LinearSimulator(), seed=0, samples=2048))
-    error = math.hypot(*(p.error for p in parts))
-    assert sum(p.value for p in parts) == pytest.approx(exact(belief.models[0], batch).log_evidence, abs=4.0 * error)
+@pytest.mark.parametrize("nuisance", [None, BOTH], ids=["known designs", "nuisances"])
+def test_that_evidence_and_odds_multiply_exactly_once_over_designs_seen_in_turn(nuisance: Nuisance | None) -> None:
+    """``p(y_1 ... y_n | m) = prod_i p(y_i | y_1 ... y_i-1, m)``: each posterior is the next prior, and nothing counts twice."""
+    belief, batch = prior(("newtonian", "nhkv", "gen_qkv")), experiments(4, nuisance=nuisance)
+    running, totals, variances = belief, torch.zeros(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
+    for number, experiment in enumerate(batch.experiments):
+        step = weigh(fitted(ExperimentBatch((experiment,), NOISE), running), LinearSimulator(), seed=number, samples=1024)
+        after = evidences(step)
+        totals += tensor(*[e.value for e in after])
+        variances += tensor(*[e.error**2 for e in after])
+        running = update(step, after)
+    joint = tensor(*[exact(part, batch).log_evidence for part in belief.models])
+    assert bool(((totals - joint).abs() < 4.0 * variances.sqrt()).all())
+    assert float(variances.sqrt().max()) < 0.03
+    odds = running.log_probabilities - running.log_probabilities[1]
+    expected = (belief.log_probabilities + joint) - (belief.log_probabilities + joint)[1]
+    torch.testing.assert_close(odds, expected, rtol=0.0, atol=0.2)
+    whole = exact(belief.models[1], batch)
+    chained = running["nhkv"]
+    torch.testing.assert_close(chained.mean, whole.mean, rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(chained.chol @ chained.chol.mT, whole.covariance, rtol=1e-5, atol=1e-8)
 
 
 def test_that_a_fit_off_its_mark_gives_the_same_evidence_with_a_larger_error(simple) -> None:
@@ -76,7 +95,7 @@ def test_that_a_fit_off_its_mark_gives_the_same_evidence_with_a_larger_error(sim
     shifted = replace(fit, mean=fit.mean + fit.chol @ tensor(1.0, -1.0), chol=1.3 * fit.chol)
     moved = (fit.nuisance_response @ (shifted.mean - fit.mean)[:, None])[..., 0]
     shifted = replace(shifted, nuisances=fit.nuisances + moved)
-    good, off = (log_evidence(f, batch, LinearSimulator(), seed=5, samples=4096) for f in (fit, shifted))
+    good, off = (weighed(f, batch, seed=5, samples=4096, rounds=1) for f in (fit, shifted))
     assert off.value == pytest.approx(truth, abs=4.0 * off.error)
     assert off.error > 1.5 * good.error
     assert off.effective_samples < good.effective_samples
@@ -84,8 +103,8 @@ def test_that_a_fit_off_its_mark_gives_the_same_evidence_with_a_larger_error(sim
 
 def test_that_a_gaussian_that_misses_the_posterior_is_not_trusted(simple) -> None:
     batch, fit, _ = simple
-    good = log_evidence(fit, batch, LinearSimulator(), seed=5)
-    wrong = log_evidence(replace(fit, mean=fit.mean + 12.0 * fit.chol[:, 0]), batch, LinearSimulator(), seed=5)
+    good = weighed(fit, batch, seed=5)
+    wrong = weighed(replace(fit, mean=fit.mean + 12.0 * fit.chol[:, 0]), batch, seed=5, rounds=1)
     assert good.trusted
     assert good.effective_samples > 0.5 * good.samples
     assert not wrong.trusted
@@ -95,23 +114,22 @@ def test_that_samples_that_fail_count_as_impossible_data(simple) -> None:
     """A simulator that fails above the posterior mean of G halves the integral."""
     batch, fit, truth = simple
     limit = MEANS["G"] + SDS["G"] * float(fit.mean[0])
-    evidence = log_evidence(fit, batch, LinearSimulator(limit={"G": limit}), seed=2, samples=4096)
+    evidence = weighed(fit, batch, LinearSimulator(limit={"G": limit}), seed=2, samples=4096, rounds=1)
     assert evidence.failed == pytest.approx(2048, abs=130)
     assert evidence.value == pytest.approx(truth - math.log(2.0), abs=4.0 * evidence.error)
 
 
-def test_that_a_simulator_that_always_fails_is_a_convergence_error(simple) -> None:
-    batch, fit, _ = simple
-    with pytest.raises(ConvergenceError, match=r"nhkv: none of 256 evidence samples could be simulated"):
-        log_evidence(fit, batch, LinearSimulator(fails=True), seed=0)
+def test_that_a_fit_without_weighed_draws_has_no_evidence(simple) -> None:
+    with pytest.raises(InputDataError, match=r"The fit of 'nhkv' has no weighed draws; pass its assimilation through `weigh`"):
+        log_evidence(simple[1])
 
 
 def test_that_evidence_depends_on_seed_and_model_alone(simple) -> None:
     batch, fit, _ = simple
-    one, same, other = (log_evidence(fit, batch, LinearSimulator(), seed=seed) for seed in (1, 1, 2))
+    one, same, other = (weighed(fit, batch, seed=seed) for seed in (1, 1, 2))
     assert one == same
     assert one.value != other.value
-    in_company = evidences(fitted(batch), LinearSimulator(), seed=1)[MODELS.index("nhkv")]
+    in_company = found(fitted(batch), seed=1)[MODELS.index("nhkv")]
     assert in_company.value == pytest.approx(one.value, abs=1e-6)
 
 
@@ -119,8 +137,8 @@ def test_that_the_model_that_made_the_data_wins_and_the_extra_parameter_costs() 
     """The truth is NHKV, far from what a Newtonian liquid can show, and alpha has nothing to explain."""
     batch = experiments(4)
     logs = [exact(part, batch).log_evidence for part in prior().models]
-    found = [e.value for e in evidences(fitted(batch), LinearSimulator(), seed=1)]
-    assert max(range(3), key=logs.__getitem__) == max(range(3), key=found.__getitem__) == MODELS.index("nhkv")
+    values = [e.value for e in found(fitted(batch), seed=1)]
+    assert max(range(3), key=logs.__getitem__) == max(range(3), key=values.__getitem__) == MODELS.index("nhkv")
 
 
 @pytest.mark.parametrize("odds", [(1.0, 1.0, 1.0), (0.98, 0.01, 0.01), (0.0, 0.5, 0.5)])
@@ -128,11 +146,11 @@ def test_that_probabilities_follow_bayes_rule_over_models(odds: tuple[float, ...
     batch = experiments(1)
     belief = Belief(prior().models, tensor(*odds).log())
     assimilation = fitted(batch, belief)
-    found = evidences(assimilation, LinearSimulator(), seed=1, samples=4096)
-    after = update(assimilation, found)
+    evidence = found(assimilation, seed=1, samples=4096)
+    after = update(assimilation, evidence)
     logs = belief.log_probabilities + tensor(*[exact(part, batch).log_evidence for part in belief.models])
     expected = torch.softmax(logs, dim=0)
-    error = max(e.error for e in found)
+    error = max(e.error for e in evidence)
     torch.testing.assert_close(after.log_probabilities.exp(), expected, rtol=0.0, atol=4.0 * error)
     for fit, part in zip(assimilation.fits, after.models, strict=True):
         assert torch.equal(part.mean, fit.posterior.mean)
@@ -141,7 +159,7 @@ def test_that_probabilities_follow_bayes_rule_over_models(odds: tuple[float, ...
 
 
 def made(model: str) -> Evidence:
-    return Evidence(model, 0.0, 0.1, 100.0, 256, 0)
+    return Evidence(model, 0.0, 0.1, 100.0, 256, 0, 0.3)
 
 
 @pytest.mark.parametrize("models", [("nhkv", "newtonian", "gen_qkv"), ("newtonian", "nhkv"), ()])
@@ -153,7 +171,34 @@ def test_that_evidence_of_other_models_is_refused(models: tuple[str, ...]) -> No
 
 
 @pytest.mark.parametrize(
-    ("effective", "samples", "trusted"), [(26.0, 256, True), (25.0, 256, False), (19.0, 64, False), (20.0, 64, True)]
+    ("effective", "samples", "trusted"), [(26.0, 256, True), (25.0, 256, False), (19.0, 100, False), (20.0, 100, True)]
 )
 def test_that_trust_needs_a_tenth_of_the_samples_and_twenty_of_them(effective: float, samples: int, trusted: bool) -> None:
-    assert Evidence("nhkv", 0.0, 0.1, effective, samples, 0).trusted == trusted
+    assert Evidence("nhkv", 0.0, 0.1, effective, samples, 0, 0.3).trusted == trusted
+
+
+def test_that_evidence_with_a_heavy_tail_is_not_trusted() -> None:
+    assert not Evidence("nhkv", 0.0, 0.1, 200.0, 256, 0, 0.65).trusted
+    assert Evidence("nhkv", 0.0, 0.1, 800.0, 1000, 0, 0.65).trusted
+
+
+def test_that_the_error_of_a_probability_is_the_scatter_that_the_evidence_errors_make() -> None:
+    belief = prior()
+    evidence = [
+        Evidence(m, v, e, 200.0, 256, 0, 0.1) for m, v, e in zip(MODELS, (0.3, 0.0, -1.0), (0.05, 0.08, 0.02), strict=True)
+    ]
+    noise = torch.randn(200_000, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    logs = tensor(*[e.value for e in evidence]) + noise * tensor(*[e.error for e in evidence])
+    scatter = torch.softmax(belief.log_probabilities + logs, dim=1).std(0)
+    errors = probability_errors(belief, evidence)
+    torch.testing.assert_close(tensor(*errors.values()), scatter, rtol=0.02, atol=0.0)
+    assert tuple(errors) == MODELS
+
+
+def test_that_stated_errors_of_probabilities_are_their_scatter_over_seeds() -> None:
+    batch = experiments(1)
+    fit = fitted(batch, prior(("nhkv", "gen_qkv")))
+    runs = [found(fit, seed=seed, samples=128) for seed in range(60)]
+    values = tensor(*[update(fit, run).probabilities["nhkv"] for run in runs])
+    errors = tensor(*[probability_errors(fit.prior, run)["nhkv"] for run in runs])
+    assert float(values.std()) == pytest.approx(float(errors.square().mean().sqrt()), rel=0.3)

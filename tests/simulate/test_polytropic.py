@@ -1,329 +1,17 @@
-"""The polytropic simulator against closed forms, SciPy on separately written equations, and another public code."""
+"""The polytropic simulator's contract: batches, what comes out, failures as data, derivatives, bad input."""
 
-import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
-from scipy.integrate import quad, solve_ivp
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
 from imr_torch.material import MATERIALS, PARAMETERS
-from imr_torch.simulate import (
-    STEPPINGS,
-    Conditions,
-    PolytropicGas,
-    PolytropicSimulator,
-    Solution,
-    Status,
-    Stepping,
-    broadcast_batch,
-)
-from imr_torch.units import Surroundings
-
-FINE = Stepping(0.03, max_steps=100_000)
-GEL = {"G": 2770.0, "mu": 0.186, "alpha": 0.48}
-DESIGN = (1000.0, 0.2)
-
-
-def tensor(*values) -> Tensor:
-    return torch.tensor(values, dtype=torch.float64)
-
-
-def grid(last: float = 3.0, count: int = 61) -> Tensor:
-    return torch.linspace(0.0, last, count, dtype=torch.float64)
-
-
-def gel(**values: float) -> Tensor:
-    return PARAMETERS.pack({name: tensor(value)[0] for name, value in values.items()})
-
-
-def gel_of(model: str) -> Tensor:
-    return gel(**{name: GEL[name] for name in MATERIALS[model].names})
-
-
-# ---------------------------------------------------------------- equations written a second time, one bubble, time t
-
-
-@dataclass(frozen=True)
-class Reference:
-    """Keller-Miksis in SI pressures, ``U'`` from ``d/dt`` of every pressure written out; units of the dimensionless design."""
-
-    conditions: Conditions
-    G: float = 0.0
-    mu: float = 0.0
-    alpha: float = 0.0
-    vapour_stiffens: bool = False  # the departure of the other public code: p' = -3 kappa p U/R with the total p
-
-    def right_side(self, weber: float, rest: float) -> Callable:
-        s, gas = self.conditions.surroundings, self.conditions.gas
-        p_inf, rho, kappa = s.far_field_pressure, s.density, gas.exponent
-        r_max = weber * 2.0 * s.surface_tension / p_inf
-        r_inf = rest * r_max
-        p_v = 1.17e11 * math.exp(-5200.0 / s.temperature) if gas.vapour else 0.0
-        p_rest = p_inf + 2.0 * s.surface_tension / r_inf - p_v
-        p_top = p_rest * rest**3 if gas.reference == "maximum" else p_rest * rest ** (3.0 * kappa)
-        time = r_max * math.sqrt(rho / p_inf)
-
-        def rate(t: float, y: np.ndarray) -> list[float]:
-            radius, speed = y[0] * r_max, y[1] * r_max / time
-            l = radius / r_inf  # noqa: E741
-            p_gas = p_top * (r_max / radius) ** (3.0 * kappa)
-            p_gas_dot = -3.0 * kappa * (p_gas + (p_v if self.vapour_stiffens else 0.0)) * speed / radius
-            tension, tension_dot = 2.0 * s.surface_tension / radius, -2.0 * s.surface_tension * speed / radius**2
-            excess = 2.0 * l**2 + l**-4 - 3.0
-            wall = 2.0 * self.G * (1.0 + self.alpha * excess) * (l**-4 - l**2)  # 2 (tau_rr - tau_tt) at the wall
-            # dS/dt = 2 (tau_rr - tau_tt)|_R (U/R)/(l^3 - 1): the quadrature over the stretch ratio differentiated at its end
-            limit = -4.0 * self.G
-            slope = wall / (l**3 - 1.0) if abs(l - 1.0) > 1e-9 else limit
-            poly = 177 / 20 + 1 / (4 * l**8) + 2 / (5 * l**5) - 3 / (2 * l**4) + 2 / l**2 - 6 / l - 4 * l
-            elastic = -0.5 * self.G * (5.0 - 4.0 / l - l**-4) + self.alpha * self.G * poly
-            elastic_dot = slope * speed / radius
-            viscous = -4.0 * self.mu * speed / radius
-            viscous_known = 4.0 * self.mu * speed**2 / radius**2
-            p = p_gas + p_v - tension + elastic + viscous - p_inf
-            p_dot = p_gas_dot - tension_dot + elastic_dot + viscous_known
-            mach = speed / s.sound_speed
-            right = ((1.0 + mach) * p + radius / s.sound_speed * p_dot) / rho - 1.5 * (1.0 - mach / 3.0) * speed**2
-            inertia = (1.0 - mach) * radius + 4.0 * self.mu / (rho * s.sound_speed)
-            return [y[1], right / inertia * time**2 / r_max]
-
-        return rate
-
-    def solve(self, weber: float, rest: float, times: np.ndarray, *, rtol: float = 1e-11) -> np.ndarray:
-        """Radius and velocity, ``2 x n_t``."""
-        span = (0.0, float(times[-1]))
-        solution = solve_ivp(
-            self.right_side(weber, rest), span, [1.0, 0.0], method="DOP853", t_eval=times, rtol=rtol, atol=1e-2 * rtol
-        )
-        assert solution.success
-        return solution.y
-
-
-SCENES = {
-    "Newtonian": (Conditions(), {"mu": 0.05}, (1000.0, 0.25)),
-    "NHE": (Conditions(), {"G": 8e3}, (600.0, 0.3)),
-    "NHKV": (Conditions(), {"G": 8310.0, "mu": 0.093}, (1000.0, 0.15)),
-    "qKV stiff": (Conditions(), GEL, (200.0, 0.12)),
-    "qKV large alpha": (Conditions(), {"G": 3e3, "mu": 0.1, "alpha": 3.0}, (1500.0, 0.3)),
-    "overdamped": (Conditions(), {"G": 1e4, "mu": 3.0}, (300.0, 0.2)),
-    "no gel": (Conditions(gas=PolytropicGas(1.4, vapour=False)), {}, (1000.0, 0.3)),
-    "isothermal, anchored at rest": (Conditions(gas=PolytropicGas(1.0, "rest")), GEL, (1000.0, 0.2)),
-    "other liquid": (Conditions(Surroundings(8e4, 900.0, 0.03, 310.0, 1200.0), PolytropicGas(1.2)), GEL, (500.0, 0.2)),
-}
-
-
-@pytest.mark.parametrize(("conditions", "values", "design"), SCENES.values(), ids=SCENES.keys())
-def test_that_the_solution_is_scipys(conditions: Conditions, values: dict[str, float], design: tuple[float, float]) -> None:
-    times = grid(3.0, 121)
-    expected = Reference(conditions, **values).solve(*design, times.numpy())
-    solution = PolytropicSimulator(conditions, FINE)(gel(**values), tensor(*design), times)
-    assert bool(solution.ok)
-    torch.testing.assert_close(solution.radius, torch.tensor(expected[0]), rtol=0.0, atol=1e-6)
-    scale = float(np.abs(expected[1]).max())
-    torch.testing.assert_close(solution.velocity, torch.tensor(expected[1]), rtol=0.0, atol=1e-4 * scale)
-
-
-def test_that_the_default_step_is_good_to_the_floor_of_the_noise() -> None:
-    """A tenth of a thousandth of Rmax, for both reference gels over designs: twenty times below the noise floor of .002."""
-    for values in (GEL, {"G": 8310.0, "mu": 0.093}):
-        designs = torch.cartesian_prod(tensor(100.0, 400.0, 1000.0), tensor(0.1, 0.2, 0.3))
-        coarse, fine = (PolytropicSimulator(stepping=s)(gel(**values), designs, grid()) for s in (Stepping(), FINE))
-        assert float((coarse.radius - fine.radius).abs().max()) < 1e-4
-
-
-def test_that_named_steppings_are_ordered_by_their_error() -> None:
-    exact = PolytropicSimulator(stepping=Stepping(0.02, max_steps=100_000))(gel(**GEL), tensor(*DESIGN), grid()).radius
-    errors = [
-        float((PolytropicSimulator(stepping=STEPPINGS[k])(gel(**GEL), tensor(*DESIGN), grid()).radius - exact).abs().max())
-        for k in ("reference", "default", "fast")
-    ]
-    assert errors == sorted(errors)
-    assert errors[0] < 1e-6
-
-
-@pytest.mark.parametrize("design", [(1000.0, 0.3), (300.0, 0.2)])
-def test_that_halving_the_step_divides_the_error_by_sixteen(design: tuple[float, float]) -> None:
-    def radius(step: float) -> Tensor:
-        return PolytropicSimulator(stepping=Stepping(step, 10**6, retries=0))(gel(**GEL), tensor(*design), grid(2.0, 41)).radius
-
-    exact, steps = radius(0.0075), (0.24, 0.12, 0.06, 0.03)
-    errors = [float((radius(step) - exact).norm()) for step in steps]
-    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
-    assert slope == pytest.approx(4.0, abs=0.35)
-
-
-# ---------------------------------------------------------------- closed forms
-
-
-def empty_bubble(exponent: float) -> Conditions:
-    """No sound, no vapour; with a huge Weber number no surface tension either: Rayleigh's bubble with a little gas."""
-    return Conditions(Surroundings(sound_speed=1e15), PolytropicGas(exponent, vapour=False))
-
-
-def energy_speed(radius: float, gas: float, kappa: float) -> float:
-    """``|U|`` from ``d(R^3 U^2) = 2 R^2 (p - 1) dR`` with ``p = gas R^(-3 kappa)``, at rest at ``R = 1``."""
-    power = 3.0 - 3.0 * kappa
-    work = 2.0 / 3.0 * (1.0 - radius**3) - 2.0 * gas * (1.0 - radius**power) / power
-    return math.sqrt(work / radius**3)
-
-
-def test_that_an_empty_bubble_collapses_in_rayleighs_time() -> None:
-    """.914681 (``sqrt(3/2) B(5/6, 1/2)/3``). Gas of 1e-9 p_inf turns the wall at R = 4e-5 Rmax, within 1e-9 of that time."""
-    rayleigh = math.sqrt(1.5) / 3.0 * math.gamma(5 / 6) * math.gamma(0.5) / math.gamma(4 / 3)
-    assert rayleigh == pytest.approx(0.914681, abs=1e-6)
-    times = rayleigh + tensor(-1e-6, 1e-6)
-    solution = PolytropicSimulator(empty_bubble(5.0 / 3.0), FINE)(gel(), tensor(1e12, 1e-3), times)
-    assert float(solution.velocity[0]) < -1e3
-    assert float(solution.velocity[1]) > 1e3
-
-
-@pytest.mark.parametrize(("rest", "kappa"), [(0.1, 1.4), (0.1, 5.0 / 3.0), (0.02, 1.3), (0.3, 1.4)])
-def test_that_the_collapse_follows_from_the_energy_alone(rest: float, kappa: float) -> None:
-    """Time and speed at radii on the way down, by quadrature of ``dR/|U|`` (substituting ``R = 1 - s^2``)."""
-    gas = rest**3 * (1.0 + 1.0 / (1e12 * rest))
-    radii = np.array([0.99, 0.9, 0.7, 0.5, 0.4])
-    times = [
-        quad(lambda s: 2.0 * s / energy_speed(1.0 - s * s, gas, kappa), 1e-9, math.sqrt(1.0 - r), epsabs=1e-12, epsrel=1e-11)[0]
-        for r in radii
-    ]
-    solution = PolytropicSimulator(empty_bubble(kappa), FINE)(gel(), tensor(1e12, rest), tensor(*times))
-    torch.testing.assert_close(solution.radius, torch.tensor(radii), rtol=0.0, atol=2e-7)
-    speed = tensor(*[-energy_speed(r, gas, kappa) for r in radii])
-    torch.testing.assert_close(solution.velocity, speed, rtol=1e-6, atol=0.0)
-
-
-def test_that_energy_is_kept_without_sound_and_viscosity_through_three_rebounds() -> None:
-    kappa, rest = 1.4, 0.2
-    gas = rest**3 * (1.0 + 1.0 / (1e12 * rest))
-    solution = PolytropicSimulator(empty_bubble(kappa), FINE)(gel(), tensor(1e12, rest), grid(6.0, 601))
-    power = 3.0 - 3.0 * kappa
-    radius, velocity = solution.radius, solution.velocity
-    kinetic = 1.5 * radius**3 * velocity**2
-    potential = radius**3 - 3.0 * gas * radius**power / power
-    total = kinetic + potential
-    assert float((total / total[0] - 1.0).abs().max()) < 1e-5
-    assert float(kinetic.max()) > 0.5
-
-
-LINEAR = {
-    "gas alone": (Conditions(gas=PolytropicGas(1.4, "rest", vapour=False)), {}, 50.0),
-    "small bubble, surface tension": (Conditions(gas=PolytropicGas(1.0, "rest", vapour=False)), {}, 2.0),
-    "vapour": (Conditions(gas=PolytropicGas(1.3, "rest", vapour=True)), {}, 500.0),
-    "elastic": (Conditions(gas=PolytropicGas(1.3, "rest")), {"G": 2e4}, 500.0),
-    "elastic and viscous": (Conditions(gas=PolytropicGas(1.3, "rest")), {"G": 2e4, "mu": 0.2}, 500.0),
-    "stiffening does nothing at rest": (Conditions(gas=PolytropicGas(1.3, "rest")), {"G": 2e4, "mu": 0.2, "alpha": 2.0}, 500.0),
-    "slow sound": (Conditions(Surroundings(sound_speed=80.0), PolytropicGas(1.4, "rest")), {"G": 1e4, "mu": 0.1}, 500.0),
-}
-
-
-@pytest.mark.parametrize(("conditions", "values", "weber"), LINEAR.values(), ids=LINEAR.keys())
-def test_that_a_small_oscillation_has_the_linear_frequency_and_damping(
-    conditions: Conditions, values: dict[str, float], weber: float
-) -> None:
-    """``R = R_e + x``: ``R_e (1 + b/c) x'' + (b + R_e k/c) x' + k x = 0`` with ``k = (3 kappa p_g - 1/(We R_e) + 4/Ca)/R_e``
-    and ``b = 4/(Re R_e)``; the error is of the order of the amplitude, 1e-4.
-    """
-    s, rest = conditions.surroundings, 1.0 - 1e-4
-    time = s.time_scale(s.max_radius(weber))
-    gas = 1.0 + 1.0 / (weber * rest) - conditions.vapour_pressure
-    c = s.sound_speed / s.velocity_scale
-    cauchy = values.get("G", 0.0) / s.far_field_pressure
-    k = (3.0 * conditions.gas.exponent * gas - 1.0 / (weber * rest) + 4.0 * cauchy) / rest
-    b = 4.0 * values.get("mu", 0.0) / (s.far_field_pressure * time) / rest
-    mass, friction = rest * (1.0 + b / c), b + rest * k / c
-    decay = 0.5 * friction / mass
-    omega = math.sqrt(k / mass - decay**2)
-    t = grid(8.0, 161)
-    x = torch.exp(-decay * t) * (torch.cos(omega * t) + decay / omega * torch.sin(omega * t))
-    solution = PolytropicSimulator(conditions, FINE)(gel(**values), tensor(weber, rest), t)
-    torch.testing.assert_close((solution.radius - rest) / (1.0 - rest), x, rtol=0.0, atol=2e-3)
-
-
-@pytest.mark.parametrize("model", MATERIALS)
-def test_that_a_bubble_released_at_rest_stays_put(model: str) -> None:
-    conditions = Conditions(gas=PolytropicGas(1.3, "rest"))
-    solution = PolytropicSimulator(conditions)(gel_of(model), tensor(300.0, 1.0 - 1e-12), grid(5.0))
-    assert float((solution.radius - 1.0).abs().max()) < 1e-11
-    assert float(solution.velocity.abs().max()) < 1e-11
-
-
-# ---------------------------------------------------------------- another public code
-
-
-@pytest.fixture(scope="module")
-def imrv2(shared: Path) -> tuple[dict, list[dict], dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Constants, cases, their curves and ours, of Keller-Miksis in pressures with polytropic gas."""
-    path = shared / "reference" / "imrv2_suite_public.json"
-    if not path.exists():
-        pytest.skip("the IMRv2 suite is not among the reference data")
-    document = json.loads(path.read_text())
-    models = ("none", "neo_hookean_kelvin_voigt", "quadratic_neo_hookean_kelvin_voigt")
-    cases = [
-        case
-        for case in document["cases"]
-        if case["configuration"]["bubble_gas"] == "polytropic"
-        and case["configuration"]["radial_equation"] == "keller_miksis_pressure"
-        and case["configuration"]["stress_model"] in models
-    ]
-    assert len(cases) >= 5
-    with np.load(path.with_suffix(".npz")) as arrays:
-        curves = dict(zip(arrays["case_id"].tolist(), arrays["R_star"], strict=True))
-    ours = {}
-    for case in cases:
-        conditions, values, design, times = imrv2_setting(document["constants"], case)
-        simulator = PolytropicSimulator(conditions, STEPPINGS["reference"])
-        ours[case["id"]] = simulator(gel(**values), tensor(*design), torch.tensor(times)).radius.numpy()
-    return document["constants"], cases, curves, ours
-
-
-def imrv2_setting(constants: dict, case: dict) -> tuple[Conditions, dict[str, float], tuple[float, float], np.ndarray]:
-    """Conditions, gel, design and times of one of their configurations; their quadratic model is qKV term by term:
-    ``(3a-1)(5-4x-x^4)/2 + 2a (27/40 + x^8/8 + x^5/5 + x^2 - 2/x)`` sums to our ``177/20 + ...`` at ``alpha = a``.
-    """
-    c = case["configuration"]
-    surroundings = Surroundings(
-        constants["far_field_pressure_pa"],
-        constants["liquid_density_kg_per_m3"],
-        constants["surface_tension_n_per_m"],
-        constants["far_field_temperature_k"],
-        constants["sound_speed_m_per_s"],
-    )
-    conditions = Conditions(surroundings, PolytropicGas(constants["ratio_of_specific_heats"], "rest", c["vapour_pressure"]))
-    names = {"G": "shear_modulus_pa", "mu": "viscosity_pa_s", "alpha": "strain_stiffening_coefficient"}
-    values = {ours: c[theirs] or 0.0 for ours, theirs in names.items()}
-    top = c["initial_radius_m"]
-    times = np.linspace(0.0, c["final_time_s"], c["number_of_times"]) / surroundings.time_scale(top)
-    return conditions, values, (surroundings.weber(top), c["equilibrium_radius_m"] / top), times
-
-
-def relative(curve: np.ndarray, reference: np.ndarray) -> float:
-    return float(np.linalg.norm(curve - reference) / np.linalg.norm(reference))
-
-
-def test_that_imrv2_curves_are_met_up_to_their_known_departure(imrv2) -> None:
-    """Their pressure rate counts the vapour as a gas; each case records what the textbook term makes of its curve."""
-    _, cases, curves, ours = imrv2
-    for case in cases:
-        recorded = case["tolerance"]["deviation_if_textbook_term"]["vapour_in_pressure_rate"]
-        assert relative(ours[case["id"]], curves[case["id"]]) == pytest.approx(recorded, rel=0.05), case["id"]
-
-
-def test_that_imrv2_curves_are_met_exactly_with_their_departure_put_in(imrv2) -> None:
-    """Closes the ring: SciPy with their pressure rate is on their curves, SciPy without it is on ours."""
-    constants, cases, curves, ours = imrv2
-    for case in cases:
-        conditions, values, design, times = imrv2_setting(constants, case)
-        theirs = Reference(conditions, **values, vapour_stiffens=True).solve(*design, times, rtol=1e-9)[0]
-        assert relative(theirs, curves[case["id"]]) < 2e-5, case["id"]
-        textbook = Reference(conditions, **values).solve(*design, times, rtol=1e-9)[0]
-        assert relative(ours[case["id"]], textbook) < 1e-5, case["id"]
-
+from imr_torch.simulate import Conditions, PolytropicGas, PolytropicSimulator, Solution, Status, Stepping, broadcast_batch
+from tests.simulate.bubble import DESIGN, FINE, GEL, gel, gel_of, grid, tensor
 
 # ---------------------------------------------------------------- batches
 
@@ -332,7 +20,7 @@ def mixed_batch() -> tuple[Tensor, Tensor, Tensor]:
     parameters = torch.stack([gel_of(model) for model in MATERIALS])
     count = len(parameters)
     designs = torch.stack((torch.linspace(200.0, 1000.0, count), torch.linspace(0.3, 0.15, count)), dim=-1).to(torch.float64)
-    times = torch.stack([grid(2.0 + 0.3 * i, 31) for i in range(count)])
+    times = torch.stack([grid(1.5 + 0.05 * i, 31) for i in range(count)])
     return parameters, designs, times
 
 
@@ -521,22 +209,22 @@ def differentiable() -> tuple[Tensor, Tensor, Tensor]:
     return gel(**GEL), tensor(800.0, 0.25), grid(2.0, 21)[1:]
 
 
-@pytest.mark.parametrize("weights", ["sum", "random"])
-def test_that_autograd_is_the_finite_difference(weights: str) -> None:
-    """Of a weighted sum of radii over each parameter and each part of the design."""
-    parameters, designs, times = differentiable()
-    simulator = PolytropicSimulator(stepping=Stepping(0.1))
-    source = torch.Generator().manual_seed(0)
-    weight = torch.ones_like(times) if weights == "sum" else torch.randn(len(times), generator=source, dtype=torch.float64)
+@pytest.mark.parametrize("model", ["qkv", "fungexp", "carreau", "zener", "sns", "ucm"])
+def test_that_autograd_is_the_finite_difference(model: str) -> None:
+    """Of a randomly weighted sum of radii over each of the model's parameters and each part of the design."""
+    _, designs, times = differentiable()
+    parameters, simulator = gel_of(model), PolytropicSimulator(stepping=Stepping(0.1))
+    weight = torch.randn(len(times), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     base = [parameters.requires_grad_(), designs.requires_grad_()]
     total = (simulator(*base, times).radius * weight).sum()
     slopes = torch.cat(torch.autograd.grad(total, base))
     point = torch.cat(base).detach()
-    h = 1e-5 * torch.diag(point)
+    columns = [*PARAMETERS.index(MATERIALS[model].names), -2, -1]
+    h = 1e-5 * torch.diag(point)[columns]
     moved = torch.cat((point + h, point - h))
     sums = (simulator(moved[:, :-2], moved[:, -2:], times).radius * weight).sum(-1)
-    difference = (sums[: len(point)] - sums[len(point) :]) / (2.0 * h.diagonal())
-    torch.testing.assert_close(slopes, difference, rtol=1e-5, atol=0.0)
+    difference = (sums[: len(columns)] - sums[len(columns) :]) / (2e-5 * point[columns])
+    torch.testing.assert_close(slopes[columns], difference, rtol=2e-5, atol=0.0)
 
 
 def test_that_the_derivative_over_time_is_the_velocity() -> None:

@@ -1,0 +1,272 @@
+"""Importance sampling with the means to say whether it worked: one set of draws gives evidence, moments and a verdict.
+
+Draws ``v`` of a heavy-tailed proposal are weighed by the exact posterior; the tail of the weights is smoothed by a
+generalised Pareto distribution, whose shape ``k`` says whether the weights have a mean worth the name (Vehtari, Simpson,
+Gelman, Yao & Gabry, JMLR 25(72), 2024). Where they have not, a proposal is made anew from the draws so far as a mixture of
+kernels (West, JRSS B 55, 1993), with all of them weighed by the mixture of their proposals (Owen & Zhou, JASA 95, 2000).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+_FREEDOM = 7  # degrees of freedom of the kernels: tails heavier than a Gaussian's, with moments up to the sixth
+_ENOUGH = 20.0  # effective samples, and a tenth of all, below which no estimate is leant on
+_WATCH = 0.5  # share of the wide kernel in a proposal made from draws
+_WIDE = 1.5  # its size, in standard deviations of the draws
+_WIDEST = 4.0  # most by which kernels are widened in one round
+_SHORTEST_TAIL = 5  # weights to which a generalised Pareto distribution can be fitted
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A mixture of multivariate Student-t kernels of one shape and several sizes.
+
+    Args:
+        centres: ``J x d`` tensor.
+        weights: ``J`` tensor of their probabilities.
+        sizes: ``J`` tensor of factors on the scale.
+        chol: ``d x d`` lower triangular tensor, the common scale.
+    """
+
+    centres: Tensor
+    weights: Tensor
+    sizes: Tensor
+    chol: Tensor
+
+    @classmethod
+    def about(cls, mean: Tensor, chol: Tensor) -> "Proposal":
+        """A single kernel about ``mean`` (``d``) with scale ``chol`` (``d x d``)."""
+        one = torch.ones(1, dtype=mean.dtype)
+        return cls(mean[None], one, one, chol)
+
+    @classmethod
+    def through(cls, points: Tensor, log_weights: Tensor) -> "Proposal":
+        """Kernels on weighed points (``n x d``, ``n``), of the width of Silverman's rule (1986, equation 4.14).
+
+        One wide kernel about them all looks where no point was. Weights of which fewer than ten a dimension count are
+        tempered first, and the kernels widened in turn: such points lie at the edge of what was proposed, and what they are
+        drawn to lies beyond it.
+        """
+        size = points.shape[1]
+        weights, power = _tempered(log_weights, 10.0 * (size + 1))
+        mean = weights @ points
+        deviation = points - mean
+        chol = torch.linalg.cholesky((weights[:, None] * deviation).mT @ deviation)
+        width = (4.0 / ((size + 2) * float(kish(weights)))) ** (1.0 / (size + 4))
+        kept = weights > 0.0
+        sizes = torch.full((int(kept.sum()) + 1,), width, dtype=points.dtype)
+        sizes[-1] = _WIDE
+        shares = torch.cat(((1.0 - _WATCH) * weights[kept], weights.new_tensor([_WATCH])))
+        return cls(torch.cat((points[kept], mean[None])), shares, sizes, min(power**-0.5, _WIDEST) * chol)
+
+    def draw(self, count: int, source: torch.Generator) -> Tensor:
+        """``count x d`` independent draws."""
+        size = self.chol.shape[0]
+        normal = torch.randn(count, size, generator=source, dtype=torch.float64)
+        squares = torch.randn(count, _FREEDOM, generator=source, dtype=torch.float64).square().sum(1)
+        centre = torch.multinomial(self.weights, count, replacement=True, generator=source)
+        scale = self.sizes[centre] * (_FREEDOM / squares).sqrt()
+        return self.centres[centre] + (scale[:, None] * normal) @ self.chol.mT
+
+    def log_prob(self, points: Tensor) -> Tensor:
+        """Log density at ``n x d`` points: ``n`` tensor."""
+        size = self.chol.shape[0]
+        whiten = torch.linalg.inv(self.chol).mT
+        distance = torch.cdist(points @ whiten, self.centres @ whiten, compute_mode="donot_use_mm_for_euclid_dist")
+        square = (distance / self.sizes).square()
+        half = 0.5 * (_FREEDOM + size)
+        constant = math.lgamma(half) - math.lgamma(0.5 * _FREEDOM) - 0.5 * size * math.log(_FREEDOM * math.pi)
+        kernels = constant - self.chol.diagonal().log().sum() - half * torch.log1p(square / _FREEDOM)
+        kernels = kernels - size * self.sizes.log()
+        return torch.logsumexp(kernels + self.weights.log(), dim=1)
+
+
+def mixture_log_prob(proposals: Sequence[Proposal], counts: Sequence[int], points: Tensor) -> Tensor:
+    """Log density of all proposals together, each in proportion to its draws: ``n`` tensor at ``n x d`` points."""
+    shares = torch.tensor(counts, dtype=torch.float64).log() - math.log(sum(counts))
+    return torch.logsumexp(torch.stack([p.log_prob(points) for p in proposals]) + shares[:, None], dim=0)
+
+
+def kish(weights: Tensor) -> Tensor:
+    """Effective sample size of weights of any scale (Kish 1965), a 0-d tensor."""
+    return weights.sum().square() / weights.square().sum()
+
+
+def _tempered(log_weights: Tensor, least: float) -> tuple[Tensor, float]:
+    """Normalised weights, raised to the largest power up to 1 that leaves an effective sample size of ``least``; the power."""
+    low, high, power = 0.0, 1.0, 1.0
+    for _ in range(40):
+        enough = float(kish(torch.softmax(power * log_weights, dim=0))) >= least
+        if enough and power == 1.0:
+            break
+        low, high = (power, high) if enough else (low, power)
+        power = 0.5 * (low + high)
+    return torch.softmax(power * log_weights, dim=0), power
+
+
+def smooth(log_weights: Tensor) -> tuple[Tensor, float]:
+    """Pareto-smoothed log weights on the scale of the given ones, and the shape ``k`` of their tail.
+
+    Args:
+        log_weights: ``n`` tensor; ``-inf`` for draws that count for nothing.
+
+    Returns:
+        The smoothed weights, and ``k``: infinite where too few weights count for a tail to be fitted.
+    """
+    from arviz_stats.base.array import array_stats  # here: where xarray is installed too, it takes a second to import
+
+    possible = torch.nonzero(torch.isfinite(log_weights))[:, 0]
+    some = log_weights[possible]
+    if len(some) < 5 * _SHORTEST_TAIL or float(some.amax() - some.amin()) < 1e-9:
+        return log_weights, 0.0 if len(some) >= 5 * _SHORTEST_TAIL else math.inf
+    floor = some.amax() - 600.0  # what is smaller is nothing beside the largest, and would underflow in the fit
+    with np.errstate(all="ignore"):  # a tail that underflows gives NaN, which is dealt with below
+        smoothed, shape = array_stats.psislw(-some.clamp_min(floor).numpy())
+    least = int(some.argmin())
+    values = torch.as_tensor(smoothed) - smoothed[least] + some[least].clamp_min(floor)  # undo its normalisation
+    shape = float(shape)
+    if not math.isfinite(shape) or not bool(torch.isfinite(values).all()):
+        return log_weights, math.inf
+    return log_weights.index_copy(0, possible, values), shape
+
+
+def largest_shape(count: int) -> float:
+    """The ``k`` up to which ``count`` weights give estimates with an error to be believed (Vehtari et al. 2024, 3.2)."""
+    return min(1.0 - 1.0 / math.log10(max(count, 2)), 0.7)
+
+
+def reliable(pareto_k: float, effective_samples: float, samples: int) -> bool:
+    """Whether estimates from weighed draws can be leant on."""
+    return pareto_k <= largest_shape(samples) and effective_samples >= max(_ENOUGH, 0.1 * samples)
+
+
+@dataclass(frozen=True)
+class ImportanceSample:
+    """Weighed draws of one model's posterior.
+
+    Args:
+        controls: ``n x d`` tensor, draws of the gel's controls ``v``.
+        log_prior: ``n`` tensor, log density of ``v`` under the prior, a standard normal.
+        by_experiment: ``n x E`` tensor, log likelihood of each experiment given ``v``, its nuisances integrated out (without
+            bias before the logarithm); ``-inf`` where a solve failed.
+        log_proposal: ``n`` tensor, log density of the proposal.
+        nuisances: ``n x E x 3`` tensor, one draw of the nuisances given ``v`` and the data for each draw.
+        centre: ``d`` tensor, mean of ``v`` that the proposal was made for.
+        spread: ``d x d`` tensor, Cholesky factor of the covariance that it was made for.
+        first_shape: ``k`` of the first round, whose proposal is the Gaussian with heavier tails.
+        rounds: how many rounds of draws were made; these are of the last one, whose proposal owes nothing to them.
+    """
+
+    controls: Tensor
+    log_prior: Tensor
+    by_experiment: Tensor
+    log_proposal: Tensor
+    nuisances: Tensor
+    centre: Tensor
+    spread: Tensor
+    first_shape: float
+    rounds: int
+
+    def __len__(self) -> int:
+        return len(self.controls)
+
+    @property
+    def log_weights(self) -> Tensor:
+        """``n`` tensor before smoothing; their mean estimates the evidence."""
+        return self.by_experiment.sum(1) + self.log_prior - self.log_proposal
+
+    @cached_property
+    def _smoothed(self) -> tuple[Tensor, float]:
+        return smooth(self.log_weights)
+
+    @property
+    def pareto_k(self) -> float:
+        """Shape of the tail of the weights."""
+        return self._smoothed[1]
+
+    @cached_property
+    def weights(self) -> Tensor:
+        """``n`` tensor of normalised, smoothed weights."""
+        return torch.softmax(self._smoothed[0], dim=0)
+
+    @property
+    def effective_samples(self) -> float:
+        """Kish effective sample size of the smoothed weights."""
+        return float(kish(self.weights))
+
+    @property
+    def failed(self) -> int:
+        """Draws whose solve failed: data of probability 0."""
+        return int(torch.isinf(self.log_weights).sum())
+
+    @property
+    def reliable(self) -> bool:
+        """Whether the estimates below can be leant on."""
+        return reliable(self.pareto_k, self.effective_samples, len(self))
+
+    @cached_property
+    def surprise(self) -> float:
+        """How far the moments are from those that the proposal was made for; see :meth:`divergence`."""
+        return self.divergence(self.centre, self.spread)
+
+    def divergence(self, mean: Tensor, chol: Tensor) -> float:
+        """Kullback-Leibler divergence of a Gaussian from that with the moments found, nats, less what chance makes of it.
+
+        Of ``n`` effective draws chance makes ``d (d + 3)/(4 n)`` on average: half a chi-square of as many degrees of freedom
+        as there are moments, over ``n``.
+
+        Args:
+            mean: ``d`` tensor.
+            chol: ``d x d`` tensor, Cholesky factor of the covariance.
+        """
+        size = len(mean)
+        shift = torch.linalg.solve_triangular(chol, (self.mean - mean)[:, None], upper=False)
+        root = torch.linalg.solve_triangular(chol, torch.linalg.cholesky(self.covariance), upper=False)
+        value = 0.5 * (shift.square().sum() + root.square().sum() - size) - root.diagonal().log().sum()
+        return float(value) - size * (size + 3) / (4.0 * self.effective_samples)
+
+    @property
+    def log_evidence(self) -> float:
+        """``log p(y)``, nats."""
+        return float(torch.logsumexp(self._smoothed[0], dim=0)) - math.log(len(self))
+
+    @property
+    def log_evidence_error(self) -> float:
+        """Monte Carlo standard error of ``log_evidence`` (delta method)."""
+        return float(len(self) * self.weights.std() / math.sqrt(len(self)))
+
+    @cached_property
+    def mean(self) -> Tensor:
+        """``d`` tensor, posterior mean of ``v``."""
+        return self.weights @ self.controls
+
+    @property
+    def covariance(self) -> Tensor:
+        """``d x d`` tensor, posterior covariance of ``v``."""
+        deviation = self.controls - self.mean
+        return (self.weights[:, None] * deviation).mT @ deviation
+
+    @property
+    def mean_error(self) -> Tensor:
+        """``d`` tensor, Monte Carlo standard error of ``mean`` (Owen 2013, section 9.2)."""
+        return (self.weights.square() @ (self.controls - self.mean).square()).sqrt()
+
+    @property
+    def sd_error(self) -> Tensor:
+        """``d`` tensor, Monte Carlo standard error of the square roots of the diagonal of ``covariance``."""
+        variance = self.covariance.diagonal()
+        excess = (self.controls - self.mean).square() - variance
+        return (self.weights.square() @ excess.square()).sqrt() / (2.0 * variance.sqrt())
+
+    def resample(self, count: int, source: torch.Generator) -> Tensor:
+        """Indices of ``count`` draws of equal weight, each within one of its expected number (systematic resampling)."""
+        start = torch.rand((), generator=source, dtype=torch.float64)
+        positions = (torch.arange(count, dtype=torch.float64) + start) / count
+        chosen = torch.searchsorted(self.weights.cumsum(0), positions).clamp_max(len(self) - 1)
+        return chosen[torch.randperm(count, generator=source)]

@@ -1,0 +1,167 @@
+"""The long-run reference: Hamiltonian Monte Carlo through the differentiable simulator, with no Gaussian assumed.
+
+The no-U-turn sampler (Hoffman & Gelman, JMLR 15, 2014; Pyro's implementation) moves in the coordinates of the fit: gel and
+nuisances in standard deviations of the joint Gaussian about the optimum, which serves as the mass matrix. Since a batch
+of bubbles costs about as much as one, all chains move together: the sampler's state is the whole set of chains, and its
+target the product of their posteriors. Still a solve follows a solve hundreds of times, so this judges importance sampling
+on single cases and is no part of a fit. Needs the extra ``imr-torch[nuts]`` and a simulator that autograd can follow.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate.fit import ModelFit
+from imr_torch.errors import ConvergenceError, InputDataError, UnsupportedError
+from imr_torch.observe import ExperimentBatch, predict
+from imr_torch.random import child, generator
+from imr_torch.simulate import Simulator
+
+_WORST_R_HAT = 1.05
+_DEEPEST = 4  # doublings of a trajectory; in coordinates of the posterior 3 make half a turn
+_LEAST_SAMPLES = 100.0  # bulk effective sample size below which no moment is to be quoted
+
+
+@dataclass(frozen=True)
+class NutsDraws:
+    """Draws of one model's posterior.
+
+    Args:
+        controls: ``C x n x d`` tensor, draws of the gel's controls ``v`` in ``C`` chains.
+        nuisances: ``C x n x E x 3`` tensor, standardised.
+        potential: ``C x n`` tensor, negative log of likelihood x prior, without the constants of the priors.
+        divergences: transitions after warm-up whose trajectory left the level set, by a failed solve for example.
+    """
+
+    controls: Tensor
+    nuisances: Tensor
+    potential: Tensor
+    divergences: int
+
+    @property
+    def r_hat(self) -> Tensor:
+        """``d`` tensor: rank-normalised split R-hat (Vehtari et al., Bayesian Anal. 16, 2021); 1 when chains agree."""
+        from arviz_stats.base.array import array_stats  # here: where xarray is installed too, it takes a second to import
+
+        return torch.as_tensor(array_stats.rhat(self.controls.numpy(), chain_axis=0, draw_axis=1))
+
+    @property
+    def effective_samples(self) -> Tensor:
+        """``d`` tensor: bulk effective sample size (same source)."""
+        from arviz_stats.base.array import array_stats
+
+        return torch.as_tensor(array_stats.ess(self.controls.numpy(), chain_axis=0, draw_axis=1))
+
+    @property
+    def converged(self) -> bool:
+        """Whether chains agree and enough draws count."""
+        return bool((self.r_hat < _WORST_R_HAT).all()) and bool((self.effective_samples > _LEAST_SAMPLES).all())
+
+    @property
+    def mean(self) -> Tensor:
+        """``d`` tensor, posterior mean of ``v``."""
+        return self.controls.flatten(0, 1).mean(0)
+
+    @property
+    def covariance(self) -> Tensor:
+        """``d x d`` tensor, posterior covariance of ``v``."""
+        return torch.cov(self.controls.flatten(0, 1).mT).reshape(self.controls.shape[-1], -1)
+
+
+def nuts(
+    fit: ModelFit,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+    draws: int = 50,
+    warmup: int = 30,
+    chains: int = 32,
+) -> NutsDraws:
+    """Sample the posterior of a fitted model.
+
+    Args:
+        fit: the model's fit to ``batch``: starting point and mass matrix.
+        batch: the data.
+        simulator: one whose solution carries gradients with respect to parameters, designs and times.
+        seed: of all chains.
+        draws: kept draws per chain.
+        warmup: draws before, in which the step size is found.
+        chains: chains that move together, started from draws of the fit's Gaussian.
+
+    Raises:
+        UnsupportedError: if Pyro is not installed, or the simulator gives no gradients.
+        InputDataError: for fewer than 4 draws, 2 chains or 1 draw of warm-up.
+        ConvergenceError: if fewer draws of the Gaussian than chains can be simulated.
+    """
+    if draws < 4 or chains < 2 or warmup < 1:
+        raise InputDataError(f"nuts: draws {draws} must be at least 4, chains {chains} at least 2 and warmup {warmup} 1.")
+    try:
+        from pyro.infer import MCMC, NUTS
+    except ImportError:
+        raise UnsupportedError("nuts needs Pyro; install it with: pip install 'imr-torch[nuts]'.") from None
+    posterior = _Posterior(fit, batch, simulator)
+    start = posterior.start(chains, child(seed, "nuts"))
+    with torch.random.fork_rng(devices=[]):  # Pyro draws from the global generator
+        torch.manual_seed(child(seed, "nuts", "moves"))
+        kernel = NUTS(potential_fn=posterior.potential, adapt_mass_matrix=False, max_tree_depth=_DEEPEST)
+        run = MCMC(kernel, draws, warmup_steps=warmup, initial_params={"u": start}, disable_progbar=True)
+        run.run()
+    u = run.get_samples()["u"].movedim(0, 1)
+    controls, nuisances = posterior.place(u)
+    with torch.no_grad():
+        cost = posterior.cost(controls, nuisances)
+    return NutsDraws(controls, nuisances, cost, len(run.diagnostics()["divergences"]["chain 0"]))
+
+
+class _Posterior:
+    """The posterior of one fit in coordinates ``u`` in which the fit's Gaussian is a standard normal."""
+
+    def __init__(self, fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> None:
+        self.fit, self.batch, self.simulator = fit, batch, simulator
+        self.uncertain = batch.nuisance_sds > 0.0  # E x 3; the others stay at rest
+        self.size = len(fit.mean) + int(self.uncertain.sum())
+
+    def place(self, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Controls (``... x d``) and nuisances (``... x E x 3``) at ``... x size`` coordinates."""
+        d = len(self.fit.mean)
+        controls = self.fit.mean + u[..., :d] @ self.fit.chol.mT
+        noise = torch.zeros(*u.shape[:-1], *self.uncertain.shape, dtype=u.dtype)
+        noise[..., self.uncertain] = u[..., d:]
+        nuisances = self.fit.nuisances_at(controls) + self.fit.nuisance_noise(noise)
+        return controls, torch.where(self.uncertain, nuisances, 0.0)
+
+    def predict(self, controls: Tensor, nuisances: Tensor) -> Tensor:
+        """Predictions ``... x E x T``; all ``...`` points in one call of the simulator."""
+        shifts = nuisances * self.batch.nuisance_sds if bool(self.uncertain.any()) else None
+        return predict(self.simulator, self.fit.parameters(controls), self.batch, shifts)
+
+    def cost(self, controls: Tensor, nuisances: Tensor) -> Tensor:
+        """Negative log of likelihood x prior: ``...`` tensor."""
+        prediction = torch.where(self.batch.mask, self.predict(controls, nuisances), 0.0)
+        prior = 0.5 * controls.square().sum(-1) + 0.5 * nuisances.square().sum((-2, -1))
+        return prior - self.batch.log_likelihood(prediction).sum(-1)
+
+    @property
+    def potential(self) -> Callable[[dict[str, Tensor]], Tensor]:
+        """What Pyro asks for: the joint cost of all chains at ``{"u": C x size}``; infinite where a solve fails."""
+        return lambda point: self.cost(*self.place(point["u"])).sum()
+
+    def start(self, chains: int, seed: int) -> Tensor:
+        """The first draws of the Gaussian that can be simulated: ``chains x size``."""
+        noise = torch.randn(2 * chains, self.size, generator=generator(seed), dtype=torch.float64)
+        with torch.no_grad():
+            usable = torch.isfinite(self.cost(*self.place(noise)))
+        start = noise[usable][:chains]
+        if len(start) < chains:
+            raise ConvergenceError(
+                f"{self.fit.model}: {len(start)} of {len(noise)} draws of the fit could be simulated; {chains} are needed."
+            )
+        if not self.predict(*self.place(start.clone().requires_grad_())).requires_grad:
+            raise UnsupportedError(
+                f"{type(self.simulator).__name__} gives no gradients; NUTS needs a simulator that autograd can follow, "
+                "such as PolytropicSimulator."
+            )
+        return start

@@ -1,0 +1,172 @@
+"""When the Gaussian answer is to be trusted, and what to believe where it is not.
+
+Each fit's Gaussian, with heavier tails, proposes draws that are weighed by the exact posterior. Nuisances are integrated
+out for each draw and each experiment by importance sampling from their conditional Gaussian, in opposite pairs, which
+cancels its skewness; the product over experiments is without bias (pseudo-marginal: Andrieu & Roberts, Ann. Stat. 37,
+2009). Draws of all models are simulated in one call a round; a model whose Gaussian does not stand gets another round, with
+a proposal made from its weighed draws, until that one stands.
+
+Weights tell of what the draws came near. Another mode far from all of them stays unseen here; against that stands the
+agreement of the starts in the fit's certificate.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
+from imr_torch.assimilate.importance import ImportanceSample, Proposal, mixture_log_prob, smooth
+from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.observe import ExperimentBatch, displaced, predict
+from imr_torch.random import child, generator
+from imr_torch.simulate import Simulator
+
+_EARLIEST = -0.5  # time from which bubbles can be simulated
+
+
+@dataclass(frozen=True)
+class _Draws:
+    """Draws of one model in one round.
+
+    Args:
+        controls: ``n x d`` tensor.
+        nuisances: ``n x K x E x 3`` tensor: opposite pairs, or (``K = 1``) all zero where none is uncertain.
+        log_ratio: ``n x K x E`` tensor, log of prior over proposal of the nuisances.
+        lots: ``n x E`` tensor of uniform numbers, by which one of each pair is kept.
+    """
+
+    controls: Tensor
+    nuisances: Tensor
+    log_ratio: Tensor
+    lots: Tensor
+
+
+@dataclass(frozen=True)
+class _Round:
+    """Draws that were simulated; fields as in :class:`ImportanceSample`."""
+
+    controls: Tensor
+    by_experiment: Tensor
+    nuisances: Tensor
+
+    @property
+    def likelihood(self) -> Tensor:
+        """``n`` tensor, log likelihood of all experiments."""
+        return self.by_experiment.sum(1)
+
+    @property
+    def log_prior(self) -> Tensor:
+        """``n`` tensor, log density under the prior."""
+        return -0.5 * self.controls.square().sum(1) - 0.5 * self.controls.shape[1] * math.log(2.0 * math.pi)
+
+
+def weigh(assimilation: Assimilation, simulator: Simulator, *, seed: int, samples: int = 256, rounds: int = 4) -> Assimilation:
+    """Weigh draws about every fit by the exact posterior.
+
+    Args:
+        assimilation: the fits; not changed.
+        simulator: the simulator they were made with.
+        seed: of the draws.
+        samples: draws per model and round, each one simulation per experiment (two where nuisances are uncertain).
+        rounds: most rounds; a model stops when the weights are reliable and their moments those that the proposal was
+            made for, which after the first round are those of the fit's Gaussian.
+
+    Returns:
+        The assimilation with a ``sample`` in each fit, from which evidence, moments and verdict are taken.
+
+    Raises:
+        InputDataError: for fewer than 25 samples or no round.
+        ConvergenceError: if no draw of some model could be simulated.
+    """
+    if samples < 25 or rounds < 1:
+        raise InputDataError(f"weigh: samples {samples} must be at least 25, and rounds {rounds} at least 1.")
+    fits, batch = tuple(replace(fit, sample=None) for fit in assimilation.fits), assimilation.batch
+    proposals = {fit.model: [Proposal.about(fit.mean, fit.chol)] for fit in fits}
+    parts: dict[str, list[_Round]] = {fit.model: [] for fit in fits}
+    found = {fit.model: fit for fit in fits}
+    waiting = list(fits)
+    for number in range(rounds):
+        draws = [_draw(f, batch, proposals[f.model][-1], samples, child(seed, "weigh", f.model, number)) for f in waiting]
+        for fit, part in zip(waiting, _simulate(waiting, draws, batch, simulator), strict=True):
+            parts[fit.model].append(part)
+            found[fit.model] = _judge(found[fit.model], proposals[fit.model][-1], part)
+        waiting = [fit for fit in waiting if found[fit.model].verdict is Verdict.REFUSED]
+        if not waiting:
+            break
+        for fit in waiting:
+            proposals[fit.model].append(_again(proposals[fit.model], parts[fit.model]))
+    return replace(assimilation, fits=tuple(found[fit.model] for fit in fits))
+
+
+def _draw(fit: ModelFit, batch: ExperimentBatch, proposal: Proposal, samples: int, seed: int) -> _Draws:
+    """Draws of the gel, and of the nuisances given the gel."""
+    source, experiments = generator(seed), len(batch.experiments)
+    controls = proposal.draw(samples, source)
+    lots = torch.rand(samples, experiments, generator=source, dtype=torch.float64)
+    if not bool((batch.nuisance_sds > 0.0).any()):
+        still = torch.zeros(samples, 1, experiments, 3, dtype=torch.float64)
+        return _Draws(controls, still, still[..., 0], lots)
+    half = torch.randn(samples, 1, experiments, 3, generator=source, dtype=torch.float64)
+    noise = torch.cat((half, -half), dim=1)
+    nuisances = fit.nuisances_at(controls)[:, None] + fit.nuisance_noise(noise)
+    log_det = fit.nuisance_chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+    return _Draws(controls, nuisances, 0.5 * (noise.square() - nuisances.square()).sum(-1) - log_det, lots)
+
+
+def _simulate(fits: list[ModelFit], draws: list[_Draws], batch: ExperimentBatch, simulator: Simulator) -> list[_Round]:
+    """Likelihoods of the draws of all models, in one call of the simulator."""
+    pairs = draws[0].nuisances.shape[1]
+    parameters = torch.cat([fit.parameters(d.controls) for fit, d in zip(fits, draws, strict=True)])
+    nuisances = torch.cat([d.nuisances for d in draws])
+    possible = _possible(nuisances * batch.nuisance_sds, batch)
+    shifts = torch.where(possible[..., None], nuisances * batch.nuisance_sds, 0.0) if pairs > 1 else None
+    prediction = predict(simulator, parameters[:, None].expand(-1, pairs, -1), batch, shifts)
+    likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0))
+    likelihood = torch.where(possible, likelihood, -torch.inf)
+    rows = zip(draws, likelihood.split([len(d.controls) for d in draws]), strict=True)
+    return [_integrate(d, values) for d, values in rows]
+
+
+def _possible(shifts: Tensor, batch: ExperimentBatch) -> Tensor:
+    """Whether nuisances ``... x E x 3`` leave a bubble that can be simulated; a wild draw must not end the batch."""
+    _, times, scale = displaced(batch.designs, batch.times, shifts)
+    return (scale[..., 0] > 0.1) & (times[..., 0] > _EARLIEST)
+
+
+def _integrate(draws: _Draws, likelihood: Tensor) -> _Round:
+    """Mean over each pair of nuisances of the likelihood (``n x K x E``), and one of the pair, in proportion to its part."""
+    weights = likelihood + draws.log_ratio
+    by_experiment = torch.logsumexp(weights, dim=1) - math.log(weights.shape[1])
+    second = draws.lots < torch.sigmoid((weights[:, -1] - weights[:, 0]).nan_to_num(0.0))
+    kept = torch.where(second[..., None], draws.nuisances[:, -1], draws.nuisances[:, 0])
+    return _Round(draws.controls, by_experiment, kept)
+
+
+def _judge(fit: ModelFit, proposal: Proposal, part: _Round) -> ModelFit:
+    """The fit with the draws of one round for its sample."""
+    log_proposal = proposal.log_prob(part.controls)
+    weighed = part.likelihood + part.log_prior - log_proposal
+    if not bool(torch.isfinite(weighed).any()):
+        raise ConvergenceError(f"{fit.model}: none of {len(weighed)} draws could be simulated; its fit is not usable.")
+    first, rounds = (smooth(weighed)[1], 1) if fit.sample is None else (fit.sample.first_shape, fit.sample.rounds + 1)
+    sample = ImportanceSample(
+        controls=part.controls,
+        log_prior=part.log_prior,
+        by_experiment=part.by_experiment,
+        log_proposal=log_proposal,
+        nuisances=part.nuisances,
+        centre=proposal.centres[-1],
+        spread=proposal.chol,
+        first_shape=first,
+        rounds=rounds,
+    )
+    return replace(fit, sample=sample)
+
+
+def _again(proposals: list[Proposal], parts: list[_Round]) -> Proposal:
+    """A proposal from all draws so far, weighed by the mixture of their proposals."""
+    controls = torch.cat([part.controls for part in parts])
+    target = torch.cat([part.likelihood + part.log_prior for part in parts])
+    return Proposal.through(controls, target - mixture_log_prob(proposals, [len(part.controls) for part in parts], controls))

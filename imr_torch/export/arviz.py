@@ -1,0 +1,195 @@
+"""Posteriors as an ArviZ tree, for its plots and diagnostics, and as a netCDF file that any language reads.
+
+One branch per model, each with the groups of the ArviZ schema, so that ``tree["nhkv"]`` is what its functions take. Draws
+come from the weighed sample of a fit, resampled to equal weight; from its Gaussian where it has none. The log likelihood is
+that of whole experiments, so that ArviZ's leave-one-out leaves out an experiment.
+Needs the extra ``imr-torch[arviz]``.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import Assimilation, ModelFit
+from imr_torch.campaign import Campaign
+from imr_torch.errors import InputDataError, UnsupportedError
+from imr_torch.files import write_atomically
+from imr_torch.material import PARAMETERS, Belief, ModelBelief
+from imr_torch.observe import NUISANCES, ExperimentBatch
+from imr_torch.random import child, generator
+
+if TYPE_CHECKING:
+    from xarray import DataTree, Variable
+
+Variables = dict[str, "Variable"]
+"""The variables of one group, its coordinates among them."""
+
+
+def to_arviz(source: Assimilation | Belief | Campaign, *, seed: int, draws: int = 1000) -> "DataTree":
+    """The tree of an assimilation, a belief or a campaign.
+
+    Args:
+        source: an assimilation gives, per model, ``posterior``, ``sample_stats``, ``log_likelihood``, ``observed_data`` and
+            ``constant_data``; a belief gives ``posterior`` alone; a campaign gives the groups of its last step (those of
+            its belief if it was read back from its journal), and a branch ``campaign`` with every step.
+        seed: of the draws.
+        draws: draws per model.
+
+    Returns:
+        A tree whose variables carry their units as attributes and whose dimensions are named.
+
+    Raises:
+        UnsupportedError: if xarray and arviz-base are not installed.
+        InputDataError: for something else to export, or no draw.
+    """
+    try:
+        import arviz_base  # noqa: F401 (the tree is xarray's; without ArviZ it would be of no use)
+        from xarray import Dataset, DataTree
+    except ImportError:
+        raise UnsupportedError("to_arviz needs ArviZ; install it with: pip install 'imr-torch[arviz]'.") from None
+    if draws < 1:
+        raise InputDataError(f"to_arviz: draws is {draws}; at least 1 is needed.")
+    groups = _groups(source, seed, draws)
+    return DataTree.from_dict({f"/{path}": Dataset(variables) for path, variables in groups.items()}, name="imr_torch")
+
+
+def write_netcdf(tree: "DataTree", path: str | Path) -> None:
+    """Write a tree as netCDF-4, atomically.
+
+    Args:
+        tree: what :func:`to_arviz` gave.
+        path: the file; replaced if it exists.
+    """
+    content = tree.to_netcdf(engine="h5netcdf")
+    write_atomically(Path(path), lambda stream: stream.write(content))
+
+
+def _groups(source: Assimilation | Belief | Campaign, seed: int, draws: int) -> dict[str, Variables]:
+    """Path of each group and its variables."""
+    if isinstance(source, Campaign):
+        last = source.steps[-1] if source.steps else None
+        groups = _groups(source.belief if last is None or last.assimilation is None else last.assimilation, seed, draws)
+        return groups if last is None else groups | {"campaign": _history(source)}
+    if isinstance(source, Belief):
+        branches = {
+            f"{part.model}/posterior": _parameters(part, part.controls(draws, seed=child(seed, "arviz", part.model)))
+            for part in source.models
+        }
+        return branches | {"models": _probabilities(source)}
+    if not isinstance(source, Assimilation):
+        raise InputDataError(f"to_arviz takes an Assimilation, a Belief or a Campaign; got {type(source).__name__}.")
+    return {
+        f"{fit.model}/{group}": variables
+        for fit in source.fits
+        for group, variables in _fit_groups(fit, source.batch, child(seed, "arviz", fit.model), draws).items()
+    }
+
+
+def _variable(dims: tuple[str, ...], values: Any, **attributes: str) -> "Variable":
+    from xarray import Variable
+
+    return Variable(dims, values.numpy() if isinstance(values, Tensor) else np.asarray(values), attributes)
+
+
+def _draw_axes(count: int) -> Variables:
+    return {"chain": _variable(("chain",), [0]), "draw": _variable(("draw",), range(count))}
+
+
+def _parameters(part: ModelBelief, controls: Tensor) -> Variables:
+    """Free parameters in SI at ``n x d`` controls ``z``."""
+    values = part.physical(controls)
+    variables = {
+        name: _variable(("chain", "draw"), values[None, :, i], units=PARAMETERS[name].unit, long_name=PARAMETERS[name].meaning)
+        for i, name in enumerate(part.names)
+    }
+    return _draw_axes(len(controls)) | variables
+
+
+def _fit_groups(fit: ModelFit, batch: ExperimentBatch, seed: int, draws: int) -> dict[str, Variables]:
+    """All groups of one model's fit."""
+    data = {"observed_data": _observed(batch), "constant_data": _constant(batch)}
+    sample, source = fit.sample, generator(seed)
+    if sample is None:
+        noise = torch.randn(draws, len(fit.mean), generator=source, dtype=torch.float64)
+        controls = fit.mean + noise @ fit.chol.mT
+        return {"posterior": _parameters(fit.prior, fit.prior.mean + controls @ fit.prior.chol.mT)} | data
+    chosen = sample.resample(draws, source)
+    posterior = _parameters(fit.prior, fit.prior.mean + sample.controls[chosen] @ fit.prior.chol.mT)
+    posterior |= _experiments(batch) | {"nuisance": _variable(("nuisance",), list(NUISANCES))}
+    sds = _variable(("chain", "draw", "experiment", "nuisance"), sample.nuisances[chosen][None], units="prior sd")
+    posterior["nuisances"] = sds
+    likelihood = sample.by_experiment[chosen]
+    stats = _draw_axes(draws) | {
+        "lp": _variable(("chain", "draw"), (likelihood.sum(1) + sample.log_prior[chosen])[None], units="nat"),
+        "pareto_k": _variable((), sample.pareto_k, long_name="shape of the tail of the importance weights"),
+        "effective_samples": _variable((), sample.effective_samples),
+        "log_evidence": _variable((), sample.log_evidence, units="nat"),
+        "log_evidence_error": _variable((), sample.log_evidence_error, units="nat"),
+    }
+    seen = _variable(("chain", "draw", "experiment"), likelihood[None], units="nat", long_name="of all repeats and frames")
+    return {
+        "posterior": posterior,
+        "sample_stats": stats,
+        "log_likelihood": _draw_axes(draws) | _experiments(batch) | {"radius": seen},
+    } | data
+
+
+def _experiments(batch: ExperimentBatch) -> Variables:
+    return {"experiment": _variable(("experiment",), [e.label for e in batch.experiments])}
+
+
+def _frames(batch: ExperimentBatch) -> Variables:
+    return _experiments(batch) | {"frame": _variable(("frame",), range(batch.times.shape[1]))}
+
+
+def _observed(batch: ExperimentBatch) -> Variables:
+    """Mean curves; NaN where an experiment has fewer frames than the longest."""
+    mean = torch.where(batch.mask, batch.mean, torch.nan)
+    return _frames(batch) | {
+        "radius": _variable(("experiment", "frame"), mean, units="R/Rmax", long_name="mean of the repeats")
+    }
+
+
+def _constant(batch: ExperimentBatch) -> Variables:
+    """Designs, times, repeats and prior spreads of the nuisances."""
+    times = torch.where(batch.mask, batch.times, torch.nan)
+    return _frames(batch) | {
+        "time": _variable(("experiment", "frame"), times, units="t U_c/Rmax"),
+        "weber": _variable(("experiment",), batch.designs[:, 0], units="1", long_name="Weber number"),
+        "rest_radius": _variable(("experiment",), batch.designs[:, 1], units="R_inf/Rmax"),
+        "repeats": _variable(("experiment",), batch.repeats),
+        "nuisance": _variable(("nuisance",), list(NUISANCES)),
+        "nuisance_sd": _variable(("experiment", "nuisance"), batch.nuisance_sds, units="relative, t*, relative"),
+    }
+
+
+def _probabilities(belief: Belief) -> Variables:
+    return {
+        "model": _variable(("model",), list(belief.keys)),
+        "log_probability": _variable(("model",), belief.log_probabilities, units="nat"),
+    }
+
+
+def _history(campaign: Campaign) -> Variables:
+    """Design, probabilities and evidences of every step."""
+    steps = campaign.steps
+    numbers = [step.number for step in steps]
+    designs = [campaign.experiments[number - 1].design for number in numbers]
+    logs = torch.stack([step.belief.log_probabilities for step in steps])
+    evidence: Mapping[str, list[list[float]]] = {
+        name: [[getattr(e, name) for e in step.evidence] for step in steps] for name in ("value", "error")
+    }
+    return {
+        "step": _variable(("step",), numbers),
+        "model": _variable(("model",), list(campaign.prior.keys)),
+        "weber": _variable(("step",), [weber for weber, _ in designs], units="1", long_name="Weber number"),
+        "rest_radius": _variable(("step",), [rest for _, rest in designs], units="R_inf/Rmax"),
+        "log_probability": _variable(("step", "model"), logs, units="nat"),
+        "log_evidence": _variable(("step", "model"), evidence["value"], units="nat", long_name="of all experiments so far"),
+        "log_evidence_error": _variable(("step", "model"), evidence["error"], units="nat"),
+        "entropy": _variable(("step",), [float(step.belief.entropy()) for step in steps], units="nat"),
+    }

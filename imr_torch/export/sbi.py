@@ -1,0 +1,169 @@
+"""Prior and simulator of one model in the form that the sbi toolbox takes, without importing it.
+
+Its contract (sbi-dev.github.io, "prior and simulator"): the prior is a ``torch.distributions.Distribution`` with
+``sample((n,))`` of shape ``n x d`` and ``log_prob`` of shape ``n``, and a support; the simulator takes ``theta`` of shape
+``n x d`` to ``x`` of shape ``n x m``; a failed simulation is a row with NaN, which its training leaves out. Its networks
+are float32, so that is what comes out; inside, everything is float64.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.distributions import Distribution, constraints
+
+from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.material import ModelBelief
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
+from imr_torch.random import generator
+from imr_torch.simulate import Simulator
+
+
+class ModelPrior(Distribution):
+    """The belief of one model as a distribution over its free parameters, SI.
+
+    Args:
+        belief: the model's belief.
+        dtype: of samples and log densities.
+    """
+
+    def __init__(self, belief: ModelBelief, *, dtype: torch.dtype = torch.float32) -> None:
+        self.belief, self.dtype = belief, dtype
+        super().__init__(torch.Size(), torch.Size([len(belief.names)]), validate_args=False)
+
+    def expand(self, batch_shape: Sequence[int], _instance: Any = None) -> "ModelPrior":
+        """Itself; a batch of priors has no meaning here.
+
+        Raises:
+            ShapeError: for any other batch shape than none or one.
+        """
+        if tuple(batch_shape) not in ((), (1,)):
+            raise ShapeError(f"ModelPrior cannot be expanded to the batch shape {tuple(batch_shape)}.")
+        return self
+
+    @property
+    def arg_constraints(self) -> dict[str, constraints.Constraint]:
+        """None: the belief has checked itself."""
+        return {}
+
+    @property
+    def support(self) -> constraints.Constraint:
+        """The bounds of each parameter."""
+        bounds = [(m.lower, m.upper) for m in self.belief.marginals]
+        each = [_interval(lower, upper) for lower, upper in bounds]
+        return constraints.independent(constraints.cat(each, dim=-1, lengths=[1] * len(each)), 1)
+
+    @property
+    def mean(self) -> Tensor:
+        """``d`` tensor."""
+        return self.belief.means.to(self.dtype)
+
+    @property
+    def variance(self) -> Tensor:
+        """``d`` tensor."""
+        return self.belief.sds.square().to(self.dtype)
+
+    def sample(self, sample_shape: Sequence[int] = ()) -> Tensor:
+        """``sample_shape x d`` draws, from torch's global generator as the contract has it."""
+        noise = torch.randn(*sample_shape, len(self.belief.names), dtype=torch.float64)
+        return self.belief.physical(self.belief.mean + noise @ self.belief.chol.mT).to(self.dtype)
+
+    def log_prob(self, value: Tensor) -> Tensor:
+        """Log density at ``... x d`` parameters: ``...`` tensor, ``-inf`` outside the support."""
+        return self.belief.log_prob(value.to(torch.float64)).to(self.dtype)
+
+
+def _interval(lower: float, upper: float) -> constraints.Constraint:
+    """The constraint of a parameter between two bounds, either of which may be infinite."""
+    if lower == -torch.inf and upper == torch.inf:
+        return constraints.real
+    if upper == torch.inf:
+        return constraints.greater_than_eq(lower)
+    return constraints.less_than(upper) if lower == -torch.inf else constraints.interval(lower, upper)
+
+
+class SbiSimulator:
+    """Noisy curves of one model: ``theta`` (``n x d``, SI) to ``x`` (``n x (q T)``), one draw of noise and nuisances each.
+
+    Args:
+        belief: the model's belief, for its parameters.
+        simulator: makes the bubbles.
+        batch: designs and times; its radii are not used.
+        seed: of noise and nuisances; the state goes on from call to call.
+        dtype: of ``x``.
+    """
+
+    def __init__(
+        self, belief: ModelBelief, simulator: Simulator, batch: ExperimentBatch, *, seed: int, dtype: torch.dtype
+    ) -> None:
+        self.belief, self.simulator, self.batch, self.dtype = belief, simulator, batch, dtype
+        self._source = generator(seed)
+
+    def __call__(self, theta: Tensor) -> Tensor:
+        """Simulate; a row of a failed solve is all NaN.
+
+        Raises:
+            ShapeError: if the last dimension is not the number of parameters.
+        """
+        d = len(self.belief.names)
+        if theta.ndim not in (1, 2) or theta.shape[-1] != d:
+            raise ShapeError(f"theta has shape {tuple(theta.shape)}; expected n x {d} with {self.belief.names}.")
+        values = torch.atleast_2d(theta).to(torch.float64)
+        parameters = self.belief.parameters(self.belief.to_controls(values))
+        shape = (len(values), *self.batch.times.shape)
+        shifts = torch.randn(*shape[:2], 3, generator=self._source, dtype=torch.float64) * self.batch.nuisance_sds
+        clean = predict(self.simulator, parameters, self.batch, shifts if bool((shifts != 0.0).any()) else None)
+        noise = torch.randn(shape, generator=self._source, dtype=torch.float64)
+        seen = clean + self.batch.noise.sd(clean, self.batch.times) * self._correlated(noise)
+        seen = torch.where(torch.isnan(seen).flatten(1).any(1)[:, None, None], torch.nan, seen)
+        return seen.flatten(1).to(self.dtype).reshape(*theta.shape[:-1], -1)
+
+    def _correlated(self, noise: Tensor) -> Tensor:
+        decorrelate = self.batch.noise.decorrelation(self.batch.times, self.batch.mask)
+        if decorrelate is None:
+            return noise
+        return torch.linalg.solve_triangular(decorrelate, noise[..., None], upper=False)[..., 0]
+
+
+def sbi_simulator(
+    belief: ModelBelief,
+    simulator: Simulator,
+    designs: Tensor,
+    times: Tensor,
+    *,
+    seed: int,
+    noise: Noise | None = None,
+    nuisance: Nuisance | None = None,
+    dtype: torch.dtype = torch.float32,
+) -> tuple[ModelPrior, SbiSimulator]:
+    """Prior and simulator of one model for sbi.
+
+    Args:
+        belief: the model and what is believed of its parameters, for example ``Belief.prior(...)["nhkv"]``.
+        simulator: makes the bubbles.
+        designs: ``q x 2`` tensor, (We, R_inf*) as measured.
+        times: ``n_t`` tensor, dimensionless; those of every design.
+        seed: of noise and nuisances (the prior draws from torch's global generator).
+        noise: observation noise; the published law by default.
+        nuisance: what is uncertain about each design and clock; nothing by default.
+        dtype: of everything that comes out.
+
+    Returns:
+        The prior, and the simulator whose output is the curves of all designs one after the other.
+
+    Raises:
+        ShapeError: if designs are not ``q x 2``.
+        InputDataError: for an impossible design or times that do not increase.
+    """
+    if designs.ndim != 2 or designs.shape[1] != 2:
+        raise ShapeError(f"designs has shape {tuple(designs.shape)}; expected q x 2 with (We, R_inf*).")
+    if dtype not in (torch.float32, torch.float64):
+        raise InputDataError(f"dtype is {dtype}; expected torch.float32 or torch.float64.")
+    blank = torch.ones(1, len(times), dtype=torch.float64)
+    shots = tuple(
+        Experiment(f"design {i + 1}", (weber, rest), times.to(torch.float64), blank, nuisance or Nuisance())
+        for i, (weber, rest) in enumerate(designs.tolist())
+    )
+    batch = ExperimentBatch(shots, noise or Noise())
+    return ModelPrior(belief, dtype=dtype), SbiSimulator(belief, simulator, batch, seed=seed, dtype=dtype)

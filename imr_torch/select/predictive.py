@@ -1,0 +1,159 @@
+"""Predictive scores: how probable an experiment was that a model had not seen.
+
+Evidence asks how well prior and model foretold all data, and so depends on the prior's width; a held-out score asks how
+well what was learnt from some experiments foretells the others. Leaving some out of a weighed fit needs no simulation
+while the weights allow it (Pareto-smoothed leave-one-out: Vehtari, Gelman & Gabry, Stat. Comput. 27, 2017, with whole
+experiments for single data); where they do not, the fit is made again without them.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate, weigh
+from imr_torch.assimilate.importance import kish, reliable, smooth
+from imr_torch.errors import InputDataError
+from imr_torch.material import Belief
+from imr_torch.observe import ExperimentBatch
+from imr_torch.random import child
+from imr_torch.select.evidence import evidences, log_evidence
+from imr_torch.simulate import Simulator
+
+
+@dataclass(frozen=True)
+class PredictiveScore:
+    """Log predictive density of held-out experiments.
+
+    Args:
+        model: key of the constitutive model.
+        held_out: labels of the experiments.
+        value: ``log p(held out | the others)``, nats; of all repeats and frames together.
+        error: its Monte Carlo standard error.
+        pareto_k: shape of the tail of the weights that leave the experiments out (before a refit).
+        refitted: whether the fit was made again without them.
+    """
+
+    model: str
+    held_out: tuple[str, ...]
+    value: float
+    error: float
+    pareto_k: float
+    refitted: bool
+
+
+def predictive_density(
+    belief: Belief,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+    samples: int = 256,
+    options: EnsembleOptions | None = None,
+) -> tuple[float, float]:
+    """Log predictive density of experiments under a belief, over models and parameters.
+
+    A record is so informative that draws of the belief hardly ever come near it; so the belief is assimilated with the
+    experiments, and their evidence taken by importance sampling.
+
+    Args:
+        belief: from other data than ``batch``.
+        batch: the held-out experiments with their noise.
+        simulator: makes the bubbles.
+        seed: of everything random.
+        samples: draws per model and round.
+        options: how the assimilation searches.
+
+    Returns:
+        Value and Monte Carlo standard error, nats.
+    """
+    fitted = assimilate(belief, batch, simulator, seed=child(seed, "fit"), options=options)
+    found = evidences(weigh(fitted, simulator, seed=child(seed, "weigh"), samples=samples))
+    values = torch.tensor([(e.value, e.error) for e in found], dtype=torch.float64)
+    joint = belief.log_probabilities + values[:, 0]
+    after = torch.softmax(joint, dim=0)
+    return float(torch.logsumexp(joint, dim=0)), float((after * values[:, 1]).norm())
+
+
+def cross_validate(
+    assimilation: Assimilation,
+    simulator: Simulator,
+    *,
+    seed: int,
+    folds: Sequence[Sequence[int]] | None = None,
+    samples: int = 256,
+    options: EnsembleOptions | None = None,
+) -> tuple[PredictiveScore, ...]:
+    """Score every model on each fold of the experiments, learning from the others.
+
+    Args:
+        assimilation: weighed fits to all experiments.
+        simulator: the simulator they were made with, for refits.
+        seed: of refits, which start where the whole fit ended.
+        folds: indices of the experiments that are held out together; each alone when not given.
+        samples: draws per round of a refit.
+        options: how a refit searches.
+
+    Returns:
+        One score per fold and model, models within folds. The sum over folds of one model is its score.
+
+    Raises:
+        InputDataError: if the fits are not weighed, or a fold is empty or holds all experiments.
+    """
+    batch = assimilation.batch
+    count = len(batch.experiments)
+    folds = [[e] for e in range(count)] if folds is None else folds
+    for fold in folds:
+        if not 0 < len(set(fold)) < count or not all(0 <= e < count for e in fold):
+            raise InputDataError(f"Fold {list(fold)}: expected some, and not all, of the experiments 0 to {count - 1}.")
+    scores = []
+    for number, fold in enumerate(folds):
+        found = [_leave_out(fit, batch, fold) for fit in assimilation.fits]
+        poor = [i for i, (_, trusted) in enumerate(found) if not trusted]
+        if poor:
+            near = _restricted(assimilation, poor, [e for e in range(count) if e not in fold])
+            seed_of_fit = child(seed, "fit", number)
+            again = assimilate(near.prior, near.batch, simulator, seed=seed_of_fit, options=options, near=near)
+            again = weigh(again, simulator, seed=child(seed, "weigh", number), samples=samples)
+            for i, fit in zip(poor, again.fits, strict=True):
+                found[i] = _refitted(found[i][0], assimilation.fits[i], fit), True
+        scores += [score for score, _ in found]
+    return tuple(scores)
+
+
+def _restricted(assimilation: Assimilation, models: Sequence[int], experiments: Sequence[int]) -> Assimilation:
+    """Some models and experiments of an assimilation: where a search without the others starts."""
+    prior, batch = assimilation.prior, assimilation.batch
+    belief = Belief(tuple(prior.models[i] for i in models), prior.log_probabilities[list(models)])
+    kept = ExperimentBatch(tuple(batch.experiments[e] for e in experiments), batch.noise)
+    fits = (assimilation.fits[i] for i in models)
+    return Assimilation(belief, kept, tuple(replace(fit, nuisances=fit.nuisances[list(experiments)]) for fit in fits))
+
+
+def _leave_out(fit: ModelFit, batch: ExperimentBatch, fold: Sequence[int]) -> tuple[PredictiveScore, bool]:
+    """Score by the weights of the whole fit over the likelihood of the fold, and whether those weights are reliable."""
+    log_evidence(fit)  # says what to do where the fit is not weighed
+    sample = fit.sample
+    assert sample is not None
+    seen = sample.by_experiment[:, list(fold)].sum(1)
+    log_weights, shape = smooth(torch.where(torch.isfinite(seen), sample.log_weights - seen, -torch.inf))
+    without = torch.softmax(log_weights, dim=0)
+    trusted = reliable(shape, float(kish(without)), len(sample))
+    labels = tuple(batch.experiments[e].label for e in fold)
+    value, error = _log_ratio(without, seen)
+    return PredictiveScore(fit.model, labels, value, error, shape, False), trusted
+
+
+def _log_ratio(weights: Tensor, log_values: Tensor) -> tuple[float, float]:
+    """Log of the weighed mean of values given by their logarithm, and its standard error (delta method)."""
+    joint = weights.log() + torch.where(weights > 0.0, log_values, 0.0)
+    tilted = torch.softmax(joint, dim=0)
+    return float(torch.logsumexp(joint, dim=0)), float((tilted - weights).norm())
+
+
+def _refitted(score: PredictiveScore, whole: ModelFit, without: ModelFit) -> PredictiveScore:
+    """Score as evidence of all experiments over evidence of the others."""
+    joint, rest = log_evidence(whole), log_evidence(without)
+    return replace(score, value=joint.value - rest.value, error=math.hypot(joint.error, rest.error), refitted=True)

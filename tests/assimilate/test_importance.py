@@ -1,0 +1,193 @@
+"""Importance sampling against closed forms: densities, tails of known shape, moments and evidence of a Gaussian."""
+
+import math
+
+import pytest
+import torch
+from scipy import stats
+
+from imr_torch.assimilate.importance import (
+    ImportanceSample,
+    Proposal,
+    kish,
+    largest_shape,
+    mixture_log_prob,
+    reliable,
+    smooth,
+)
+from imr_torch.random import generator
+from tests.linear import tensor
+
+CHOL = tensor([0.5, 0.0], [0.3, 0.2])
+MEAN = tensor(1.0, -2.0)
+
+
+def test_that_one_kernel_is_a_student_t() -> None:
+    points = torch.randn(50, 2, generator=generator(0), dtype=torch.float64)
+    expected = stats.multivariate_t(MEAN.numpy(), (CHOL @ CHOL.mT).numpy(), df=7).logpdf(points.numpy())
+    torch.testing.assert_close(Proposal.about(MEAN, CHOL).log_prob(points), torch.as_tensor(expected))
+
+
+def test_that_a_mixture_is_the_mean_of_its_kernels() -> None:
+    points, other = torch.randn(50, 2, generator=generator(0), dtype=torch.float64), tensor(0.0, 1.0)
+    both = Proposal(torch.stack((MEAN, other)), tensor(0.25, 0.75), tensor(1.0, 2.0), CHOL)
+    one, two = Proposal.about(MEAN, CHOL), Proposal.about(other, 2.0 * CHOL)
+    expected = (0.25 * one.log_prob(points).exp() + 0.75 * two.log_prob(points).exp()).log()
+    torch.testing.assert_close(both.log_prob(points), expected)
+    torch.testing.assert_close(mixture_log_prob([one, two], [100, 300], points), expected)
+
+
+def test_that_draws_have_the_moments_of_the_density() -> None:
+    proposal = Proposal(tensor([0.0, 0.0], [4.0, 1.0]), tensor(0.5, 0.5), tensor(1.0, 2.0), CHOL)
+    draws = proposal.draw(100_000, generator(1))
+    inner = 2.5 * CHOL @ CHOL.mT * 7.0 / 5.0
+    torch.testing.assert_close(draws.mean(0), tensor(2.0, 0.5), rtol=0.0, atol=0.03)
+    torch.testing.assert_close(torch.cov(draws.mT), inner + tensor([4.0, 1.0], [1.0, 0.25]), rtol=0.02, atol=0.01)
+
+
+def test_that_kernels_through_weighed_points_follow_the_weighed_density() -> None:
+    """Uniform points weighed to a Gaussian: half are narrow kernels on them, half is one wide kernel."""
+    points = 10.0 * torch.rand(4000, 2, generator=generator(2), dtype=torch.float64) - 5.0
+    proposal = Proposal.through(points, -0.5 * (points - tensor(1.0, 0.0)).square().sum(1))
+    draws = proposal.draw(50_000, generator(3))
+    narrow = float(proposal.sizes[0])
+    variance = 0.5 * (1.0 + narrow**2 * 7.0 / 5.0) + 0.5 * 1.5**2 * 7.0 / 5.0
+    assert narrow < 0.5
+    torch.testing.assert_close(draws.mean(0), tensor(1.0, 0.0), rtol=0.0, atol=0.1)
+    torch.testing.assert_close(torch.cov(draws.mT), variance * torch.eye(2, dtype=torch.float64), rtol=0.1, atol=0.1)
+
+
+def test_that_kernels_on_a_single_heavy_point_still_have_a_shape_and_reach_out() -> None:
+    points = torch.randn(200, 2, generator=generator(4), dtype=torch.float64)
+    log_weights = torch.zeros(200, dtype=torch.float64)
+    log_weights[7] = 500.0
+    proposal = Proposal.through(points, log_weights)
+    assert float(kish(proposal.weights[:-1])) == pytest.approx(30.0, rel=0.01)
+    assert float(proposal.chol.diagonal().min()) > 1.0
+
+
+@pytest.mark.parametrize("shape", [0.2, 0.5, 0.8, 1.2])
+def test_that_the_shape_of_a_pareto_tail_is_found(shape: float) -> None:
+    """Generalised Pareto weights have tails of their own shape; 40 000 of them leave an error of some (1 + k)/sqrt(600)."""
+    uniform = torch.rand(40_000, generator=generator(5), dtype=torch.float64)
+    weights = 1.0 + (uniform.pow(-shape) - 1.0) / shape
+    assert smooth(weights.log())[1] == pytest.approx(shape, abs=3.0 * (1.0 + shape) / math.sqrt(600.0))
+
+
+def test_that_smoothing_keeps_scale_order_and_all_but_the_tail() -> None:
+    log_weights = 30.0 + torch.randn(1000, generator=generator(6), dtype=torch.float64)
+    smoothed, _ = smooth(log_weights)
+    assert torch.equal(smoothed.argsort(), log_weights.argsort())
+    body = log_weights.argsort()[: 1000 - math.ceil(3.0 * math.sqrt(1000.0))]
+    torch.testing.assert_close(smoothed[body], log_weights[body])
+    assert float(smoothed.amax()) <= float(log_weights.amax()) + 1e-9
+    assert not torch.equal(smoothed, log_weights)
+
+
+def test_that_smoothing_halves_the_error_of_a_heavy_tailed_mean() -> None:
+    """Weights with an infinite variance (k = .6) and the mean 1 + 1/(1 - .6): fewer wild estimates."""
+    plain, smoothed = [], []
+    for seed in range(200):
+        weights = 1.0 + (torch.rand(500, generator=generator(seed), dtype=torch.float64).pow(-0.6) - 1.0) / 0.6
+        plain.append(float(weights.mean()) - 3.5)
+        smoothed.append(float(smooth(weights.log())[0].exp().mean()) - 3.5)
+    assert tensor(*smoothed).square().mean().sqrt() < 0.75 * tensor(*plain).square().mean().sqrt()
+
+
+def test_that_equal_weights_have_no_tail_and_impossible_ones_take_no_part() -> None:
+    equal = torch.zeros(100, dtype=torch.float64)
+    assert smooth(equal)[1] == 0.0
+    some = torch.randn(400, generator=generator(7), dtype=torch.float64)
+    with_failed = torch.cat((some, torch.full((50,), -math.inf, dtype=torch.float64)))
+    (alone, shape), (together, same) = smooth(some), smooth(with_failed)
+    assert shape == same
+    torch.testing.assert_close(together[:400], alone)
+    assert bool(torch.isinf(together[400:]).all())
+
+
+@pytest.mark.parametrize("count", [1, 24])
+def test_that_too_few_weights_are_never_reliable(count: int) -> None:
+    log_weights = torch.cat((torch.zeros(count), torch.full((100,), -math.inf))).double()
+    assert smooth(log_weights)[1] == math.inf
+
+
+def test_that_weights_a_thousand_nats_apart_are_judged_without_underflow() -> None:
+    log_weights = -torch.linspace(0.0, 1e5, 500, dtype=torch.float64)
+    smoothed, shape = smooth(log_weights)
+    assert not bool(torch.isnan(smoothed).any())
+    assert shape > 1.0
+
+
+@pytest.mark.parametrize(("count", "limit"), [(100, 0.5), (256, 0.5848), (1000, 2.0 / 3.0), (10_000, 0.7)])
+def test_that_fewer_draws_allow_only_lighter_tails(count: int, limit: float) -> None:
+    assert largest_shape(count) == pytest.approx(limit, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("shape", "effective", "samples", "verdict"),
+    [
+        (0.3, 26.0, 256, True),
+        (0.3, 25.0, 256, False),
+        (0.3, 19.0, 100, False),
+        (0.3, 20.0, 100, True),
+        (0.6, 200.0, 256, False),
+        (0.6, 900.0, 1000, True),
+        (math.inf, 900.0, 1000, False),
+    ],
+)
+def test_that_reliable_weights_have_a_light_tail_and_a_tenth_of_them_counts(
+    shape: float, effective: float, samples: int, verdict: bool
+) -> None:
+    assert reliable(shape, effective, samples) == verdict
+
+
+def gaussian_sample(scale: float, seed: int, count: int = 1000) -> ImportanceSample:
+    """A posterior ``N((1, -2), C C^T)`` times ``e^-7``, with the proposal ``scale`` times as wide."""
+    proposal = Proposal.about(MEAN, scale * CHOL)
+    controls = proposal.draw(count, generator(seed))
+    target = torch.distributions.MultivariateNormal(MEAN, scale_tril=CHOL).log_prob(controls) - 7.0
+    prior = -0.5 * controls.square().sum(1) - math.log(2.0 * math.pi)
+    likelihood = (target - prior)[:, None]
+    still = torch.zeros(count, 1, 3, dtype=torch.float64)
+    return ImportanceSample(controls, prior, likelihood, proposal.log_prob(controls), still, MEAN, scale * CHOL, 0.0, 1)
+
+
+def test_that_moments_and_evidence_of_a_gaussian_come_out_within_their_errors() -> None:
+    sample = gaussian_sample(1.0, 0)
+    assert sample.reliable
+    assert sample.failed == 0
+    assert sample.log_evidence == pytest.approx(-7.0, abs=4.0 * sample.log_evidence_error)
+    assert bool(((sample.mean - MEAN).abs() < 4.0 * sample.mean_error).all())
+    sds = (CHOL @ CHOL.mT).diagonal().sqrt()
+    assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sample.sd_error).all())
+    assert float(sample.mean_error.max()) < 0.03
+
+
+def test_that_stated_errors_are_the_scatter_over_seeds() -> None:
+    samples = [gaussian_sample(1.0, seed, 200) for seed in range(150)]
+    for value, error in (
+        (tensor(*[s.log_evidence for s in samples]), tensor(*[s.log_evidence_error for s in samples])),
+        (torch.stack([s.mean[0] for s in samples]), torch.stack([s.mean_error[0] for s in samples])),
+        (
+            torch.stack([s.covariance[1, 1].sqrt() for s in samples]),
+            torch.stack([s.sd_error[1] for s in samples]),
+        ),
+    ):
+        assert float(value.std()) == pytest.approx(float(error.square().mean().sqrt()), rel=0.25)
+
+
+def test_that_a_proposal_far_too_narrow_is_found_out() -> None:
+    """In two dimensions a t of a tenth the width has weights of shape near 1; the right width has a bounded one."""
+    narrow, right = gaussian_sample(0.1, 1), gaussian_sample(1.0, 1)
+    assert not narrow.reliable
+    assert narrow.pareto_k > 0.7
+    assert right.pareto_k < 0.3
+    assert right.effective_samples > 0.9 * len(right)
+
+
+def test_that_resampling_takes_each_draw_in_proportion_to_its_weight() -> None:
+    sample = gaussian_sample(1.5, 2)
+    chosen = sample.resample(5000, generator(0))
+    counts = torch.bincount(chosen, minlength=len(sample))
+    assert bool(((counts - 5000 * sample.weights).abs() <= 1.0 + 1e-9).all())
+    assert not torch.equal(chosen, chosen.sort().values)

@@ -1,0 +1,183 @@
+"""The verdict on the Gaussian answer, both ways, and its repair against quadrature."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from imr_torch.assimilate import Assimilation, EnsembleOptions, Verdict, assimilate, weigh
+from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.observe import ExperimentBatch, Nuisance
+from tests.curved import CurvedSimulator, quadrature
+from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
+
+OPTIONS = EnsembleOptions(scouts=24)
+BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
+
+
+def fitted(batch: ExperimentBatch, simulator=None, models=("nhkv",)) -> Assimilation:
+    return assimilate(prior(models), batch, simulator or LinearSimulator(), seed=1, options=OPTIONS)
+
+
+@pytest.fixture(scope="module")
+def simple() -> Assimilation:
+    return fitted(experiments(3, nuisance=BOTH))
+
+
+def changed(assimilation: Assimilation, **fields) -> Assimilation:
+    """The assimilation with its one fit altered."""
+    return replace(assimilation, fits=(replace(assimilation.fits[0], **fields),))
+
+
+def test_that_a_gaussian_posterior_is_trusted_in_one_round(simple: Assimilation) -> None:
+    before, after = simple.fits[0], weigh(simple, LinearSimulator(), seed=0).fits[0]
+    assert before.verdict is Verdict.UNCHECKED
+    assert before.trust == "Gaussian answer unchecked"
+    assert after.verdict is Verdict.TRUSTED
+    assert after.sample.rounds == 1
+    assert after.sample.effective_samples > 200.0
+    assert after.trust.startswith("Gaussian answer trusted (k ")
+    assert after.trust.endswith("of 256)")
+    assert torch.equal(after.posterior.mean, before.posterior.mean)
+    assert simple.fits[0].sample is None
+
+
+@pytest.mark.parametrize("shift", [0.0, 1.0, 4.0])
+@pytest.mark.parametrize("width", [0.1, 0.3, 1.7])
+def test_that_a_wrong_gaussian_is_repaired_to_the_exact_posterior(simple: Assimilation, width: float, shift: float) -> None:
+    fit, truth = simple.fits[0], exact(simple.prior.models[0], simple.batch)
+    mean = fit.mean + shift * fit.chol[:, 0]
+    wrong = changed(simple, mean=mean, chol=width * fit.chol, nuisances=fit.nuisances_at(mean))
+    right = weigh(wrong, LinearSimulator(), seed=0, samples=256, rounds=8).fits[0]
+    sample = right.sample
+    assert right.verdict is Verdict.REPAIRED
+    assert "repaired" in right.trust
+    assert sample.rounds > 1 or width > 1.0
+    assert bool(((sample.mean - truth.mean).abs() < 4.0 * sample.mean_error).all())
+    sds = truth.covariance.diagonal().sqrt()
+    assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sample.sd_error).all())
+    assert sample.log_evidence == pytest.approx(truth.log_evidence, abs=5.0 * sample.log_evidence_error)
+    chol = right.prior.chol
+    torch.testing.assert_close(right.posterior.mean, right.prior.mean + chol @ sample.mean)
+    torch.testing.assert_close(right.posterior.chol @ right.posterior.chol.mT, chol @ sample.covariance @ chol.mT)
+
+
+def test_that_a_gaussian_far_too_narrow_shows_a_heavy_tail(simple: Assimilation) -> None:
+    narrow = changed(simple, chol=0.05 * simple.fits[0].chol)
+    once = weigh(narrow, LinearSimulator(), seed=0, rounds=1).fits[0]
+    assert once.sample.first_shape > 0.7
+    assert once.verdict is Verdict.REFUSED
+    assert "NOT TO BE TRUSTED" in once.trust
+    assert "NUTS" in once.trust
+    assert torch.equal(once.posterior.mean, narrow.fits[0].posterior.mean)
+
+
+def test_that_nuisances_are_integrated_out_even_where_their_gaussian_is_wrong(simple: Assimilation) -> None:
+    """A conditional Gaussian of the nuisances 1.5 times too wide costs samples and changes no answer."""
+    wide = changed(simple, nuisance_chol=simple.fits[0].nuisance_chol / 1.5)
+    truth = exact(simple.prior.models[0], simple.batch)
+    sample = weigh(wide, LinearSimulator(), seed=0, samples=2048, rounds=1).fits[0].sample
+    assert bool(((sample.mean - truth.mean).abs() < 4.0 * sample.mean_error).all())
+    assert sample.log_evidence == pytest.approx(truth.log_evidence, abs=4.0 * sample.log_evidence_error)
+    assert sample.log_evidence_error > 0.005
+
+
+def test_that_kept_nuisances_are_draws_of_their_posterior(simple: Assimilation) -> None:
+    sample = weigh(simple, LinearSimulator(), seed=0, samples=2048).fits[0].sample
+    truth = exact(simple.prior.models[0], simple.batch)
+    mean = (sample.weights[:, None, None] * sample.nuisances).sum(0)
+    torch.testing.assert_close(mean, truth.nuisances, rtol=0.0, atol=0.1)
+    still = sample.nuisances[:, :, 0]  # Rmax is known here: its control stays a draw of its prior
+    assert float(still.std()) == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.5, 1.5])
+def test_that_moments_of_a_curved_posterior_equal_quadrature(bend: float) -> None:
+    simulator, batch = CurvedSimulator(bend), experiments(1)
+    fit = weigh(fitted(batch, simulator), simulator, seed=0, samples=1024, rounds=6).fits[0]
+    truth, sample = quadrature(fit, batch, simulator), fit.sample
+    assert fit.verdict is (Verdict.REPAIRED if bend else Verdict.TRUSTED)
+    assert bool(((sample.mean - truth.mean).abs() < 4.0 * sample.mean_error).all())
+    sds = truth.covariance.diagonal().sqrt()
+    assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sample.sd_error).all())
+    assert sample.log_evidence == pytest.approx(truth.log_evidence, abs=4.0 * sample.log_evidence_error)
+    gaussian = ((fit.mean - truth.mean).abs() / sds).max()
+    repaired = ((sample.mean - truth.mean).abs() / sds).max()
+    assert float(repaired) < 0.15
+    assert not bend or float(gaussian) > 2.0 * float(repaired)
+
+
+def test_that_models_are_weighed_in_one_call_a_round_and_do_not_depend_on_company() -> None:
+    class Counting(LinearSimulator):
+        calls = 0
+
+        def __call__(self, *arguments):
+            type(self).calls += 1
+            return super().__call__(*arguments)
+
+    batch = experiments(2, nuisance=BOTH)
+    together = weigh(fitted(batch, models=("newtonian", "nhkv")), Counting(), seed=0)
+    assert Counting.calls == 1
+    alone = weigh(replace(together, fits=(replace(together["nhkv"], sample=None),)), LinearSimulator(), seed=0)
+    assert torch.equal(alone.fits[0].sample.controls, together["nhkv"].sample.controls)
+    torch.testing.assert_close(alone.fits[0].sample.by_experiment, together["nhkv"].sample.by_experiment)
+    torch.testing.assert_close(alone.fits[0].sample.nuisances, together["nhkv"].sample.nuisances)
+
+
+def test_that_the_discrepancy_is_the_divergence_of_gaussians(simple: Assimilation) -> None:
+    """A Gaussian 1.5 times too wide, one standard deviation off: KL(exact || it) in closed form."""
+    fit, truth = simple.fits[0], exact(simple.prior.models[0], simple.batch)
+    mean, chol = fit.mean + fit.chol[:, 1], 1.5 * fit.chol
+    off = changed(simple, mean=mean, chol=chol, nuisances=fit.nuisances_at(mean))
+    after = weigh(off, LinearSimulator(), seed=0, samples=4096).fits[0]
+    normal = torch.distributions.MultivariateNormal
+    expected = torch.distributions.kl_divergence(normal(truth.mean, truth.covariance), normal(mean, scale_tril=chol))
+    assert after.sample.divergence(mean, chol) == pytest.approx(float(expected), abs=0.03)
+
+
+def test_that_failed_draws_weigh_nothing_and_all_failed_is_an_error(simple: Assimilation) -> None:
+    fit = simple.fits[0]
+    middle = float(fit.parameters(fit.mean)[0])
+    sample = weigh(simple, LinearSimulator(limit={"G": middle}), seed=0, samples=1024, rounds=1).fits[0].sample
+    assert sample.failed == pytest.approx(512, abs=80)
+    assert float(sample.weights[torch.isinf(sample.log_weights)].sum()) == 0.0
+    with pytest.raises(ConvergenceError, match=r"nhkv: none of 256 draws could be simulated"):
+        weigh(simple, LinearSimulator(fails=True), seed=0)
+
+
+@pytest.mark.parametrize(("samples", "rounds"), [(24, 4), (256, 0)])
+def test_that_too_few_samples_or_rounds_are_refused(simple: Assimilation, samples: int, rounds: int) -> None:
+    with pytest.raises(InputDataError, match=r"must be at least 25, and rounds"):
+        weigh(simple, LinearSimulator(), seed=0, samples=samples, rounds=rounds)
+
+
+def test_that_the_noise_of_the_weights_alone_condemns_nothing() -> None:
+    """Over 30 seeds a Gaussian posterior is never repaired: the divergence that Monte Carlo error makes is taken off."""
+    batch = ExperimentBatch(experiments(1).experiments, NOISE)
+    fit = fitted(batch, models=("gen_qkv",))
+    verdicts = [weigh(fit, LinearSimulator(), seed=seed, samples=100).fits[0].verdict for seed in range(30)]
+    assert verdicts.count(Verdict.TRUSTED) >= 28
+
+
+def test_that_weighing_depends_on_the_seed_alone(simple: Assimilation) -> None:
+    torch.manual_seed(1)
+    one = weigh(simple, LinearSimulator(), seed=5).fits[0].sample
+    torch.manual_seed(2)
+    same, other = (weigh(simple, LinearSimulator(), seed=seed).fits[0].sample for seed in (5, 6))
+    assert torch.equal(one.log_weights, same.log_weights)
+    assert not torch.equal(one.controls, other.controls)
+    assert tensor(one.log_evidence) == tensor(same.log_evidence)
+
+
+def test_that_a_draw_whose_clock_is_impossible_weighs_nothing_and_does_not_end_the_batch(simple: Assimilation) -> None:
+    """A conditional Gaussian of the time zero so wide that records would begin long before the maximum radius."""
+
+    class Strict(LinearSimulator):
+        def __call__(self, parameters, designs, times):
+            assert float(times.min()) > -0.5
+            return super().__call__(parameters, designs, times)
+
+    wild = changed(simple, nuisance_chol=0.05 * simple.fits[0].nuisance_chol)
+    fit = weigh(wild, Strict(), seed=0, samples=256, rounds=1).fits[0]
+    assert fit.verdict is Verdict.REFUSED
+    assert 0.0 < fit.sample.effective_samples < 100.0

@@ -1,0 +1,60 @@
+"""A simulator with a curved response, whose posterior over two parameters is a banana (with one peak), and its moments by quadrature."""
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import ExperimentBatch, predict
+from imr_torch.simulate import Conditions, Solution
+from tests.linear import MEANS, SDS, LinearSimulator
+
+
+@dataclass(frozen=True)
+class CurvedSimulator:
+    """The linear simulator, shown ``mu + bend sd_mu ((G - mean_G)/sd_G)^2`` in place of mu, with G itself half mute.
+
+    Args:
+        bend: 0 gives a linear response.
+        mute: factor by which the response to G is weaker than that to mu.
+    """
+
+    bend: float
+    mute: float = 0.4
+    conditions: Conditions = field(default_factory=Conditions)
+
+    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        g, mu = PARAMETERS.index(["G", "mu"])
+        standard = (parameters[..., g] - MEANS["G"]) / SDS["G"]
+        shown = parameters.clone()
+        shown[..., mu] = parameters[..., mu] + self.bend * SDS["mu"] * standard.square()
+        shown[..., g] = MEANS["G"] + self.mute * SDS["G"] * standard
+        return LinearSimulator()(shown, designs, times)
+
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        return self(parameters, designs, times)
+
+
+@dataclass(frozen=True)
+class Quadrature:
+    """Moments and evidence of a two-parameter posterior on a grid of its controls."""
+
+    mean: Tensor
+    covariance: Tensor
+    log_evidence: float
+
+
+def quadrature(fit: ModelFit, batch: ExperimentBatch, simulator: CurvedSimulator, *, points: int = 401) -> Quadrature:
+    """Rectangle rule over +-6 prior standard deviations: spectrally accurate for a density that vanishes at the edges."""
+    axis = torch.linspace(-6.0, 6.0, points, dtype=torch.float64)
+    controls = torch.cartesian_prod(axis, axis)
+    likelihood = batch.log_likelihood(predict(simulator, fit.parameters(controls), batch)).sum(-1)
+    logs = likelihood - 0.5 * controls.square().sum(-1) - math.log(2.0 * math.pi)
+    weights = torch.softmax(logs, dim=0)
+    mean = weights @ controls
+    covariance = (weights[:, None] * (controls - mean)).mT @ (controls - mean)
+    cell = 2.0 * math.log(float(axis[1] - axis[0]))
+    return Quadrature(mean, covariance, float(torch.logsumexp(logs, dim=0)) + cell)

@@ -1,0 +1,64 @@
+"""One non-neutral value of every parameter that a stress term reads, and models evaluated at plain numbers."""
+
+import torch
+from torch import Tensor
+
+from imr_torch.material import PARAMETERS, AnyTerm, Material, MemoryTerm, Stress, memory_states
+
+VALUES = {
+    "G": 0.08,
+    "mu": 0.05,
+    "alpha": 0.7,
+    "G_lin": 0.06,
+    "alpha_fung2": 0.2,
+    "alpha_fung": 0.1,
+    "thinning": 0.4,
+    "shear_time": 0.3,
+    "tau": 0.5,
+    "retardation": 0.25,
+    "tau_sls": 0.4,
+    "tau_sns": 0.3,
+    "tau_ucm": 0.6,
+    "damage": 0.3,
+    "yield_stress": 0.02,
+    "graded_modulus": 1.5,
+    "permanent_set": 0.1,
+    "energy_loss": 0.4,
+}
+"""Dimensionless. A new parameter of a stress term needs a value here."""
+
+REST = 0.23
+STATES = [(1.0, 0.0), (0.9, -0.7), (REST, -3.0), (0.11, 5.0), (0.06, -9.0), (1.3, 0.4)]
+
+
+def tensors(values: dict[str, float]) -> dict[str, Tensor]:
+    """All parameters, those not named neutral."""
+    return {p.name: torch.tensor(values.get(p.name, p.neutral), dtype=torch.float64) for p in PARAMETERS}
+
+
+def values_of(model: Material) -> dict[str, float]:
+    return {name: VALUES[name] for name in model.names}
+
+
+def has_memory(model: Material) -> bool:
+    return any(isinstance(term, MemoryTerm) for term in model.terms)
+
+
+def memory_of(terms: tuple[AnyTerm, ...] | list[AnyTerm], *shape: int) -> Tensor:
+    """Memory states that are not at rest, different for each row."""
+    rows = torch.linspace(-0.03, 0.05, memory_states(terms), dtype=torch.float64)
+    return rows.reshape(-1, *[1] * len(shape)).expand(-1, *shape)
+
+
+def evaluate(
+    model: Material,
+    radius: float | Tensor,
+    velocity: float | Tensor,
+    values: dict[str, float],
+    memory: Tensor | None = None,
+) -> Stress:
+    """The model's stress; its memory is :func:`memory_of` unless given."""
+    radius, velocity = (torch.as_tensor(x, dtype=torch.float64) for x in (radius, velocity))
+    if memory is None:
+        memory = memory_of(model.terms, *radius.shape)
+    return model.stress(radius, velocity, torch.tensor(REST, dtype=torch.float64), tensors(values), memory)

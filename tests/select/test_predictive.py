@@ -1,0 +1,92 @@
+"""Held-out scores against differences of closed-form evidences."""
+
+import pytest
+import torch
+
+from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate, weigh
+from imr_torch.errors import InputDataError
+from imr_torch.material import Belief
+from imr_torch.observe import ExperimentBatch, Nuisance
+from imr_torch.select import cross_validate, predictive_density
+from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
+
+OPTIONS = EnsembleOptions(scouts=24)
+BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
+
+
+def weighed(batch: ExperimentBatch, belief: Belief, samples: int = 1024) -> Assimilation:
+    return weigh(
+        assimilate(belief, batch, LinearSimulator(), seed=1, options=OPTIONS), LinearSimulator(), seed=1, samples=samples
+    )
+
+
+def without(batch: ExperimentBatch, fold: list[int]) -> ExperimentBatch:
+    return ExperimentBatch(tuple(x for e, x in enumerate(batch.experiments) if e not in fold), NOISE)
+
+
+@pytest.mark.parametrize("nuisance", [None, BOTH], ids=["known designs", "nuisances"])
+@pytest.mark.parametrize("folds", [None, [[0, 2], [1, 3]]], ids=["each alone", "two folds"])
+def test_that_scores_are_the_evidence_of_all_over_that_of_the_others(nuisance: Nuisance | None, folds) -> None:
+    belief, batch = prior(("newtonian", "nhkv")), experiments(4, nuisance=nuisance)
+    scores = cross_validate(weighed(batch, belief), LinearSimulator(), seed=3, folds=folds, samples=1024, options=OPTIONS)
+    wanted = folds or [[0], [1], [2], [3]]
+    assert len(scores) == 2 * len(wanted)
+    for i, score in enumerate(scores):
+        fold, part = wanted[i // 2], belief.models[i % 2]
+        truth = exact(part, batch).log_evidence - exact(part, without(batch, fold)).log_evidence
+        assert score.model == part.model
+        assert score.held_out == tuple(batch.experiments[e].label for e in fold)
+        assert score.value == pytest.approx(truth, abs=4.0 * score.error)
+        assert score.error < 0.15
+
+
+def test_that_a_posterior_too_narrow_to_leave_data_out_is_refitted_and_one_that_is_not_costs_no_solve() -> None:
+    """A Newtonian liquid is pulled far by each experiment; the right model is not."""
+
+    class Refusing(LinearSimulator):
+        def __call__(self, *_):
+            raise AssertionError("no simulation was needed")
+
+    belief, batch = prior(("newtonian", "nhkv")), experiments(4)
+    both = weighed(batch, belief)
+    scores = cross_validate(both, LinearSimulator(), seed=3, folds=[[3]], options=OPTIONS)
+    assert [s.refitted for s in scores] == [True, False]
+    assert scores[0].pareto_k > 0.7
+    right = Assimilation(Belief((belief.models[1],), tensor(0.0)), batch, (both["nhkv"],))
+    (alone,) = cross_validate(right, Refusing(), seed=3, folds=[[3]])
+    assert alone == scores[1]
+
+
+def test_that_the_error_of_a_score_is_its_scatter_over_seeds() -> None:
+    belief, batch = prior(("nhkv",)), experiments(4)
+    fit = assimilate(belief, batch, LinearSimulator(), seed=1, options=OPTIONS)
+    runs = [
+        cross_validate(weigh(fit, LinearSimulator(), seed=seed), LinearSimulator(), seed=0, folds=[[3]])[0]
+        for seed in range(60)
+    ]
+    values, errors = tensor(*[r.value for r in runs]), tensor(*[r.error for r in runs])
+    assert not any(r.refitted for r in runs)
+    assert float(values.std()) == pytest.approx(float(errors.square().mean().sqrt()), rel=0.3)
+
+
+@pytest.mark.parametrize("odds", [(0.5, 0.5), (0.9, 0.1)])
+def test_that_the_predictive_density_of_a_belief_is_that_of_its_mixture_of_models(odds: tuple[float, float]) -> None:
+    belief = Belief(prior(("nhkv", "gen_qkv"), correlated=True).models, tensor(*odds).log())
+    batch = experiments(2, nuisance=BOTH)
+    value, error = predictive_density(belief, batch, LinearSimulator(), seed=0, samples=1024, options=OPTIONS)
+    logs = tensor(*[exact(part, batch).log_evidence for part in belief.models])
+    assert value == pytest.approx(float(torch.logsumexp(belief.log_probabilities + logs, dim=0)), abs=4.0 * error)
+    assert error < 0.02
+
+
+@pytest.mark.parametrize("fold", [[], [0, 1, 2], [3], [-1]])
+def test_that_an_empty_whole_or_unknown_fold_is_refused(fold: list[int]) -> None:
+    fit = weighed(experiments(3), prior(("nhkv",)), samples=64)
+    with pytest.raises(InputDataError, match=r"expected some, and not all, of the experiments 0 to 2"):
+        cross_validate(fit, LinearSimulator(), seed=0, folds=[fold])
+
+
+def test_that_fits_without_weighed_draws_are_refused() -> None:
+    fit = assimilate(prior(("nhkv",)), experiments(3), LinearSimulator(), seed=1, options=OPTIONS)
+    with pytest.raises(InputDataError, match="pass its assimilation through `weigh` first"):
+        cross_validate(fit, LinearSimulator(), seed=0)
