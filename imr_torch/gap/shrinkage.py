@@ -163,16 +163,51 @@ def shrinkage(
     hypotheses = [base, effect, *([rival] if rival else [])]
     _check(hypotheses, batch)
     fits = _near(hypotheses, near or {}, batch, simulator, seed, progress)
-    held = _hold_out(fits, batch, simulator, seed, progress)
-    names = [h.name for h in hypotheses]
+    return _judge(effect, rival, fits, _hold_out(fits, batch, simulator, seed, progress), seed)
+
+
+def shrinkage_unseen(
+    effect: Hypothesis,
+    rival: Hypothesis | None,
+    fits: Mapping[str, ModelFit],
+    unseen: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+) -> Shrinkage:
+    """Judge an effect, its base and a rival on designs that were held out before anything was fitted.
+
+    Args:
+        effect: the base model with the effect (or effects) to judge.
+        rival: the best hypothesis of another class; none to leave it out.
+        fits: name of each hypothesis (and ``"none"``) -> fit to the other designs.
+        unseen: the designs that no fit saw.
+        simulator: makes the bubbles.
+        seed: of the bootstrap.
+    """
+    names = [_NONE, effect.name, *([rival.name] if rival else [])]
+    designs = range(len(unseen.experiments))
+    held = {name: [held_out(fits[name], _part(unseen, [i]), simulator) for i in designs] for name in names}
+    return _judge(effect, rival, fits, held, seed)
+
+
+def _judge(
+    effect: Hypothesis,
+    rival: Hypothesis | None,
+    fits: Mapping[str, ModelFit],
+    held: Mapping[str, Sequence[HeldOut]],
+    seed: int,
+) -> Shrinkage:
+    """Compare held-out predictions of the base, the effect and the rival."""
     gaps, intervals = _bootstrap(held, seed)
-    comparisons = tuple(_compare(held, effect.name, name) for name in names if name != effect.name)
+    comparisons = tuple(_compare(held, effect.name, name) for name in held if name != effect.name)
+    frames = sum(len(d.residual) for d in held[effect.name])
     return Shrinkage(
         gap=gaps,
         shrinkage=intervals,
         comparisons=comparisons,
         shift=_shift(fits[_NONE], fits[effect.name]),
-        adequacy_p=float(chi2.sf(sum(d.square for d in held[effect.name]), int(batch.mask.sum()))),
+        adequacy_p=float(chi2.sf(sum(d.square for d in held[effect.name]), frames)),
         converged=all(d.converged for designs in held.values() for d in designs),
         effect=effect.name,
         rival=rival.name if rival else None,
