@@ -19,7 +19,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, ModelBelief
-from imr_torch.observe import Noise, Nuisance, displaced
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
 from imr_torch.random import SeedLike, generator
 from imr_torch.simulate import Simulator
 
@@ -47,6 +47,12 @@ class Plan:
         if self.repeats < 1:
             raise InputDataError(f"Plan.repeats is {self.repeats}; at least 1 curve per design is needed.")
 
+    def batch(self, designs: Tensor) -> ExperimentBatch:
+        """Experiments at ``q x 2`` designs that have not been shot: their curves are nothing but zeros."""
+        radius = torch.zeros(1, len(self.times), dtype=self.times.dtype)
+        rows = [Experiment("planned", (d[0], d[1]), self.times, radius, self.nuisance) for d in designs.tolist()]
+        return ExperimentBatch(tuple(rows), self.noise)
+
 
 @dataclass(frozen=True)
 class InformationGain:
@@ -58,6 +64,7 @@ class InformationGain:
         variance: Monte Carlo variance of the sum of the two.
         counted: draws that could be simulated.
         drawn: draws asked for.
+        model_variance: Monte Carlo variance of the gain about the model alone.
     """
 
     parameters: float
@@ -65,6 +72,7 @@ class InformationGain:
     variance: float
     counted: int
     drawn: int
+    model_variance: float = 0.0
 
     @property
     def value(self) -> float:
@@ -111,7 +119,7 @@ def expected_information_gain(
     source = generator(seed)
     parts = [_linearise(part, designs, simulator, plan, draws, source) for part in belief.models]
     weights = belief.log_probabilities.exp()
-    gains, spread = [], torch.zeros((), dtype=torch.float64)
+    gains, spread = [], torch.zeros(2, dtype=torch.float64)
     counted = sum(len(part) for part in parts)
     for i, part in enumerate(parts):
         n = len(part)
@@ -122,9 +130,10 @@ def expected_information_gain(
         about = 0.5 * torch.linalg.slogdet(eye + part.sensitivity.mT @ part.sensitivity).logabsdet
         which = _about_model(parts, belief.log_probabilities, i, source)
         gains.append(torch.stack((about.mean(), which.mean())))
-        spread = spread + weights[i].square() * (about + which).var() / n
+        spread = spread + weights[i].square() * torch.stack(((about + which).var(), which.var())) / n
     total = (weights[:, None] * torch.stack(gains)).sum(0)
-    return InformationGain(float(total[0]), float(total[1]), float(spread), counted, draws * len(parts))
+    both, model = spread.tolist()
+    return InformationGain(float(total[0]), float(total[1]), both, counted, draws * len(parts), model)
 
 
 def _linearise(
@@ -142,8 +151,7 @@ def _linearise(
     for i, column in enumerate(uncertain, start=d):
         shift[1 + 2 * i, column], shift[2 + 2 * i, column] = _STEP, -_STEP
     parameters = part.parameters(part.mean + (v[:, None] + gel) @ part.chol.mT)
-    true, times, factor = displaced(designs, plan.times.expand(q, -1), (shift * sds)[:, None])
-    radius = simulator(parameters[:, :, None], true, times).radius * factor
+    radius = predict(simulator, parameters, plan.batch(designs), (shift * sds)[:, None].expand(draws, -1, q, -1))
     good = torch.isfinite(radius).flatten(1).all(1)
     radius = radius[good]
     slopes = ((radius[:, 1::2] - radius[:, 2::2]) / (2.0 * _STEP)).movedim(1, -1)  # n x q x T x (d + uncertain)

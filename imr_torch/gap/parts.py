@@ -10,6 +10,7 @@ from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.effects import LIBRARY
 from imr_torch.gap.hypotheses import Hypothesis
+from imr_torch.gap.identity_design import NextDesign, identity_design
 from imr_torch.gap.latent import LatentPressure, latent_pressure
 from imr_torch.gap.linear import linearise
 from imr_torch.gap.locate import ByExperiment, Onset, by_experiment, onset
@@ -32,6 +33,7 @@ class Parts:
         latent: the pressure that would explain it.
         windows: apparent parameters over the event.
         shrinkage: how far a named cause shrinks the gap on designs that its fit did not see.
+        next_design: what to shoot to tell the causes apart that are still possible.
     """
 
     onset: Onset | None = None
@@ -39,6 +41,7 @@ class Parts:
     latent: LatentPressure | None = None
     windows: MovingWindows | None = None
     shrinkage: Shrinkage | None = None
+    next_design: NextDesign | None = None
 
 
 def examine(
@@ -75,6 +78,7 @@ def examine(
         latent_pressure(fit, line, batch, simulator),
         moving_windows(fit, line, batch, simulator),
         _shrunk(report, simulator, unseen, seed, progress),
+        _next(report, simulator, seed, progress),
     )
 
 
@@ -94,6 +98,17 @@ def _shrunk(
     if len(report.batch.experiments) < 2:
         return None
     return shrinkage(effect, other, report.batch, simulator, seed=seed, near=fits, progress=progress)
+
+
+def _next(report: GapReport, simulator: Simulator, seed: int, progress: Progress | None) -> NextDesign | None:
+    """The design that tells causes apart, where more than one of another class is in the credible set."""
+    found = report.attribution
+    if found is None:
+        return None
+    open_ = {LIBRARY[name.split("+")[-1]].family for name in found.credible_set() if name in found.fits and name != "none"}
+    if len(open_) < 2:
+        return None
+    return identity_design(found.fits, found.posterior, simulator, seed=child(seed, "next"), progress=progress)
 
 
 def _hypothesis(report: GapReport, name: str) -> Hypothesis:

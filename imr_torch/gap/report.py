@@ -17,6 +17,7 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.gap.attribute import ADEQUATE
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.effects import LIBRARY
+from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.score import BlockResult
 from imr_torch.material import PARAMETERS
@@ -55,6 +56,7 @@ def sections(report: GapReport, parts: Parts | None = None) -> list[Section]:
         Section("Which effect causes it?", _causes(report)),
         Section("How far does it shrink?", _shrinkage(report, parts)),
         Section("What does it do to the parameters?", _shift(report)),
+        Section("What to measure next?", _next(report, parts)),
         Section("What is not said, and why", _refusals(report, parts)),
         Section("Can the fits be leant on?", _certificates(report)),
     ]
@@ -118,8 +120,11 @@ def repeats_needed(power: float, rank: int, tests: int, *, wanted: float = 0.8) 
         wanted: power to be reached.
     """
     threshold = chi2.isf(0.04 / tests, rank)
-    now, then = (brentq(lambda size, p=p: ncx2.sf(threshold, rank, size) - p, 1e-9, 1e4) for p in (power, wanted))
-    return then / now
+
+    def noncentrality(chance: float) -> float:
+        return float(brentq(lambda size: ncx2.sf(threshold, rank, size) - chance, 1e-9, 1e4))  # type: ignore[arg-type]
+
+    return noncentrality(wanted) / noncentrality(power)
 
 
 def _where(report: GapReport, parts: Parts) -> tuple[str, ...]:
@@ -163,7 +168,6 @@ def _causes(report: GapReport) -> tuple[str, ...]:
         f"Adequacy of {found.winner}: {_p(found.adequacy.p_value)}"
         + (", so it is enough." if found.adequacy.p_value >= ADEQUATE else ", so something else is still missing."),
     ]
-    lines += [f"{name} is easily mistaken for {LIBRARY[name].confused}." for name in report.cause if name in LIBRARY]
     return tuple(lines)
 
 
@@ -225,6 +229,18 @@ def _shift(report: GapReport) -> tuple[str, ...]:
     return tuple(lines)
 
 
+def _next(report: GapReport, parts: Parts) -> tuple[str, ...]:
+    lines = []
+    if (found := parts.next_design) is not None:
+        weber, rest = found.design.tolist()
+        lines.append(
+            f"We = {weber:.0f}, R_inf* = {rest:.3f} tells {', '.join(found.causes)} apart best: {found.gain:.2f} +- "
+            f"{found.error:.2f} nats of the {found.entropy:.2f} that are open."
+        )
+    lines += [f"{name} is easily mistaken for: {LIBRARY[name].confused}." for name in report.cause if name in LIBRARY]
+    return tuple(lines) or ("No cause is in question, so no design is asked to tell causes apart.",)
+
+
 def _refusals(report: GapReport, parts: Parts) -> tuple[str, ...]:
     lines = []
     if report.verdict == "other":
@@ -239,7 +255,6 @@ def _refusals(report: GapReport, parts: Parts) -> tuple[str, ...]:
         lines.append("Anything about effects that were not offered, but for their sum under 'other'.")
         if parts.shrinkage is None:
             lines.append("How far the gap shrinks on new designs: no shrinkage on held-out designs was computed.")
-        lines.append("What to measure next: no next design was computed.")
     if report.attribution is not None and parts.onset is None:
         lines.append("When the gap begins: the location was not run.")
     return tuple(lines)
@@ -264,7 +279,7 @@ def _p(value: float) -> str:
 def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
     """The report as JSON-ready values; null for every part that was not run."""
     parts = parts or Parts()
-    found, when, judged = report.attribution, parts.onset, parts.shrinkage
+    found, when, judged, ahead = report.attribution, parts.onset, parts.shrinkage, parts.next_design
     return {
         "gap": report.gap.found and report.null.certificate.converged,
         "p_gap": report.gap.p_value,
@@ -279,7 +294,13 @@ def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
         "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
         "best_rival": None if judged is None else judged.rival,
         "parameter_shift": parameter_shift(report),
-        "next_design": None,
+        "next_design": None if ahead is None else _design(ahead),
         "converged": report.converged,
         "seconds": report.seconds,
     }
+
+
+def _design(found: NextDesign) -> dict[str, Any]:
+    """The next design, its gain in nats and what it tells apart."""
+    weber, rest = found.design.tolist()
+    return {"We": weber, "R_inf*": rest, "gain": found.gain, "gain_sd": found.error, "tells_apart": list(found.causes)}
