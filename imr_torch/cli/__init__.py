@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import torch
 
-from imr_torch.cli import campaign, characterize, design, simulate
+from imr_torch.cli import campaign, characterize, design, diagnose, simulate
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError
 
-COMMANDS = (simulate, characterize, design, campaign)
+COMMANDS = (simulate, characterize, design, campaign, diagnose)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -68,6 +68,7 @@ class InformationGain:
         bias: how far finite inner sums raise the value, to first order; None for other methods. It grows with the curvature of
             posteriors that the samples did not see, so compare two sizes of ``inner``.
         effective: inner draws that effectively carry an evidence (Kish 1965), mean over data; near 1 the value is a bound.
+        model_variance: Monte Carlo variance of the gain about the model alone.
     """
 
     parameters: float
@@ -77,6 +78,7 @@ class InformationGain:
     drawn: int
     bias: float | None = None
     effective: float | None = None
+    model_variance: float = 0.0
 
     @property
     def failed(self) -> bool:
@@ -143,4 +145,6 @@ def summarise(
     parameters, model = (weights @ means).tolist()
     variance = sum(t.weight**2 * t.variance() for t in terms) + shared
     counted = sum(len(t.parameters) for t in terms)
-    return InformationGain(parameters, model, variance, counted, sum(t.drawn for t in terms), bias, effective)
+    of_model = sum(t.weight**2 * float(t.model.var()) / len(t.model) for t in terms if len(t.model) > 1)
+    drawn = sum(t.drawn for t in terms)
+    return InformationGain(parameters, model, variance, counted, drawn, bias, effective, of_model)

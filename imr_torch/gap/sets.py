@@ -1,5 +1,6 @@
 """Sets of designs x repeats x frames as one ``.npz`` file: ``time_s``, ``radius_m``, ``we``, ``rinf_star``."""
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +26,10 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
         surroundings: the liquid side; water at 1 atm by default.
 
     Raises:
-        InputDataError: for a missing array, shapes that do not fit, or a design without a finite frame.
+        InputDataError: for a file that is no set, a missing array, shapes that do not fit, or a design without a finite frame.
     """
     outer = surroundings or Surroundings()
-    with np.load(path, allow_pickle=False) as document:
-        missing = [name for name in _SHAPES if name not in document]
-        if missing:
-            raise InputDataError(f"{path}: no array {missing[0]!r}; a set holds {', '.join(_SHAPES)}.")
-        arrays = {name: np.asarray(document[name], dtype=np.float64) for name in _SHAPES}
+    arrays = _arrays(Path(path))
     for name, dimensions in _SHAPES.items():
         if arrays[name].ndim != dimensions or arrays[name].shape[0] != arrays["we"].shape[0]:
             raise InputDataError(
@@ -53,3 +50,21 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
             )
         experiments.append(Experiment(f"design {i}", (float(weber), float(rest)), times[seen], radius[:, seen], nuisance))
     return experiments
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of a set by name."""
+    if not path.is_file():
+        raise InputDataError(f"{path}: no such file; check the name and the folder ({path.parent.resolve()}).")
+    try:
+        with np.load(path, allow_pickle=False) as document:
+            missing = [name for name in _SHAPES if name not in document]
+            if missing:
+                raise InputDataError(f"{path}: no array {missing[0]!r}; a set holds {', '.join(_SHAPES)}.")
+            return {name: np.asarray(document[name], dtype=np.float64) for name in _SHAPES}
+    except (OSError, ValueError, TypeError, zipfile.BadZipFile) as error:
+        if isinstance(error, InputDataError):
+            raise
+        raise InputDataError(
+            f"{path}: cannot be read as .npz arrays of numbers ({error}); write it with numpy.savez."
+        ) from error

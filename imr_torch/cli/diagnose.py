@@ -1,0 +1,129 @@
+"""Find where the model fails: is there a gap to the data, where does it lie, which unmodelled effect causes it.
+
+  imr-torch diagnose gel.csv --html page.html
+  imr-torch diagnose set.npz --without sound_field,pulse --json result.json
+
+Files are those of characterize, one gel in all of them, or .npz sets of repeated designs (time_s: designs x frames; radius_m:
+designs x repeats x frames; we and rinf_star: designs, as measured). The noise of a set is the published law; that of single
+curves is taken from how rough they are. --effects and --without choose what may be the cause; by default every effect of the
+library may. No cause is named without converged fits, nor where no effect of the library is enough.
+"""
+
+import argparse
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from imr_torch.characterize import prepare
+from imr_torch.cli.common import add_physics_argument, parse_pair, parse_values, progress_of, simulator_of, write_result
+from imr_torch.errors import InputDataError
+from imr_torch.gap import Effect, describe, diagnose, examine, library, load_set, noise_of_traces, to_json, write_page
+from imr_torch.material import MATERIALS, wide_prior
+from imr_torch.observe import Experiment, Layout, Noise, load_traces
+from imr_torch.simulate import Simulator
+
+NAME = "diagnose"
+SUMMARY = "where the model fails, and which effect it lacks"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the subcommand."""
+    parser.add_argument("files", nargs="+", metavar="FILE", help="curves (CSV, text, MATLAB) or sets (.npz), not both")
+    parser.add_argument(
+        "--base", default="nhkv", help=f"model that is put to the test, of {', '.join(MATERIALS)} (default nhkv)"
+    )
+    parser.add_argument("--known", default="", metavar="NAME=VALUE,...", help="independently measured parameters in SI")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--effects", metavar="NAME,...", help="effects that may be the cause (default: the whole library)")
+    which.add_argument("--without", metavar="NAME,...", help="effects of the library that are left out")
+    parser.add_argument(
+        "--heldout", metavar="ID,...", help="experiments that no fit may see (of a set: design 0, design 1, ...)"
+    )
+    parser.add_argument("--experiments", metavar="ID,...", help="use only these experiments")
+    parser.add_argument("--layout", metavar="TEXT", help="how to read files of curves, as for characterize")
+    parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for curves without a tail")
+    parser.add_argument("--collapses", type=int, default=2, help="collapses in the window of a curve (default 2)")
+    parser.add_argument("--noise", choices=("estimated", "published"), help="default: published for sets, estimated for curves")
+    parser.add_argument("--html", metavar="FILE", help="write the report with its figures as one HTML file")
+    add_physics_argument(parser, default="transport")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Check everything that was asked for, diagnose, report."""
+    started = time.perf_counter()
+    simulator, effects = simulator_of(args), _effects(args)
+    base = wide_prior((args.base,), known=parse_values(args.known, "--known")).models[0]
+    experiments = _experiments(args, simulator)
+    if args.experiments:
+        experiments = _named(experiments, args.experiments, "--experiments")
+    held_out = _named(experiments, args.heldout, "--heldout") if args.heldout else []
+    fitted = [e for e in experiments if e not in held_out]
+    if not fitted:
+        raise InputDataError(f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer.")
+    noise = _noise(args, fitted)
+    progress = progress_of(args)
+    report = diagnose(fitted, base=base, effects=effects, noise=noise, simulator=simulator, seed=args.seed, progress=progress)
+    parts = examine(report, simulator, unseen=held_out, seed=args.seed, progress=progress)
+    print(describe(report, parts))
+    write_result(args, to_json(report, parts) | {"seconds": time.perf_counter() - started})
+    if args.html:
+        print(f"wrote {write_page(report, args.html, parts)}")
+
+
+def _effects(args: argparse.Namespace) -> tuple[Effect, ...]:
+    """The library less what was left out; an effect that was asked for by name must fit the base model."""
+    if args.base not in MATERIALS:
+        raise InputDataError(f"--base: unknown model {args.base!r}; known are {', '.join(MATERIALS)}.")
+    chosen = library(_split(args.effects) or None, without=_split(args.without), base=args.base)
+    lost = [name for name in _split(args.effects) if name not in {effect.name for effect in chosen}]
+    if lost:
+        raise InputDataError(
+            f"--effects: {lost[0]!r} cannot be put on the base model {args.base!r}, which has it or lacks what it acts on."
+        )
+    if not chosen:
+        raise InputDataError("--without leaves no effect that could be the cause; leave fewer out.")
+    return chosen
+
+
+def _split(text: str | None) -> list[str]:
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
+
+
+def _experiments(args: argparse.Namespace, simulator: Simulator) -> list[Experiment]:
+    """Sets or curves as experiments; what was read and left out is printed."""
+    sets = [name for name in args.files if name.lower().endswith(".npz")]
+    if not sets:
+        traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
+        print(traces.report() + "\n")
+        rest = parse_pair(args.rest_radius, "--rest-radius")
+        return list(prepare(traces, simulator, collapses=args.collapses, rest_radius=rest)[0])
+    if len(sets) < len(args.files):
+        raise InputDataError("Sets (.npz) and files of curves cannot be mixed: their noise is known differently.")
+    surroundings = simulator.conditions.surroundings
+    loaded = {name: load_set(name, surroundings=surroundings) for name in sets}
+    if len(loaded) == 1:
+        return next(iter(loaded.values()))
+    return [
+        Experiment(f"{Path(name).stem} {e.label}", e.design, e.times, e.radius, e.nuisance)
+        for name, experiments in loaded.items()
+        for e in experiments
+    ]
+
+
+def _named(experiments: Sequence[Experiment], text: str, option: str) -> list[Experiment]:
+    """The experiments of given labels."""
+    labels = [e.label for e in experiments]
+    for name in _split(text):
+        if name not in labels:
+            raise InputDataError(f"{option}: no experiment {name!r} among the {len(labels)} loaded: {', '.join(labels)}.")
+    return [e for e in experiments if e.label in _split(text)]
+
+
+def _noise(args: argparse.Namespace, experiments: Sequence[Experiment]) -> Noise:
+    """The noise law that was asked for, or the one that suits the data."""
+    single = all(e.repeats == 1 for e in experiments)
+    if args.noise == "published" or (args.noise is None and not single):
+        return Noise()
+    noise = noise_of_traces(experiments)
+    print(f"noise scale {noise.scale:.2f} x published, correlation time {noise.correlation_time:g} in t*\n")
+    return noise

@@ -1,0 +1,178 @@
+"""What next? The design that best tells the remaining causes apart.
+
+The causes left by a diagnosis are the models of one belief: each a fit with its posterior, weighed by its probability. The
+information that an experiment is expected to give about *which* of them is true, ``I(cause; y)``, is the part of the expected
+information gain that is about the model (:mod:`imr_torch.design.eig`), averaged over posterior draws of each cause: at one
+nominal value the best design is that of one gel, which need not be this one. It never exceeds the entropy of the causes.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.design import (
+    DesignOptimizer,
+    DesignSpace,
+    Estimator,
+    ExpectedInformationGain,
+    InformationGain,
+    Plan,
+    tell_gain,
+)
+from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.gap.effects import LIBRARY
+from imr_torch.material import Belief
+from imr_torch.random import child
+from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
+
+_LEFT = 0.02  # a cause less probable than this is not worth an experiment
+
+
+class IdentityInformation(ExpectedInformationGain):
+    """Information about which model (or cause) is true, in nats, as a BoTorch acquisition.
+
+    Arguments are those of :class:`imr_torch.design.ExpectedInformationGain`; what the experiment would tell of the parameters
+    does not count. It works wherever that does, :func:`imr_torch.design.search_design` included.
+    """
+
+    def estimate(self, designs: Tensor) -> InformationGain:
+        """The gain of ``q x 2`` designs together, with its Monte Carlo error."""
+        gain = super().estimate(designs)
+        return replace(gain, parameters=0.0, variance=gain.model_variance)
+
+
+@dataclass(frozen=True)
+class NextDesign:
+    """The next design to shoot, and why.
+
+    Args:
+        design: ``2`` tensor, (We, R_inf*).
+        gain: expected information about the cause there, nats.
+        error: its Monte Carlo standard error.
+        entropy: of the causes now, nats: the most that any experiment could give.
+        causes: cause -> probability among those compared.
+        grid: ``n x 2`` tensor of designs that were evaluated.
+        gains: ``n`` tensor, nats; NaN where too many bubbles failed.
+        errors: ``n`` tensor.
+    """
+
+    design: Tensor
+    gain: float
+    error: float
+    entropy: float
+    causes: dict[str, float]
+    grid: Tensor
+    gains: Tensor
+    errors: Tensor
+
+
+def remaining_causes(
+    fits: Mapping[str, ModelFit], posterior: Mapping[str, float], *, least: float = _LEFT, most: int = 6
+) -> dict[str, float]:
+    """The causes worth telling apart, the most probable of each family, with probabilities that sum to one.
+
+    Args:
+        fits: hypothesis -> fit.
+        posterior: hypothesis -> probability; ``"other"`` and what has no fit cannot be simulated and are left out.
+        least: probability below which a cause is dropped, unless fewer than two would be left.
+        most: how many to keep.
+
+    Raises:
+        InputDataError: if fewer than two causes have a fit.
+    """
+    ranked = sorted((name for name in posterior if name in fits), key=lambda name: -posterior[name])
+    chosen: dict[tuple[str, ...], str] = {}
+    for name in ranked:
+        # two members of a family are the same to first order: no design of this kind separates them
+        family = tuple(sorted(LIBRARY[part].family if part in LIBRARY else part for part in name.split("+")))
+        if family not in chosen and (posterior[name] >= least or len(chosen) < 2) and len(chosen) < most:
+            chosen[family] = name
+    if len(chosen) < 2:
+        raise InputDataError(
+            f"{len(chosen)} causes have a fit ({', '.join(chosen.values()) or 'none'}); at least two of different families are needed."
+        )
+    weights = {name: max(posterior[name], 1e-12) for name in chosen.values()}
+    return {name: weight / sum(weights.values()) for name, weight in weights.items()}
+
+
+def identity_design(
+    fits: Mapping[str, ModelFit],
+    posterior: Mapping[str, float],
+    simulator: Simulator,
+    *,
+    seed: int,
+    plan: Plan | None = None,
+    space: DesignSpace | None = None,
+    grid: tuple[int, int] = (4, 4),
+    draws: int = 32,
+    progress: Progress | None = None,
+) -> NextDesign:
+    """The design that best tells the remaining causes apart.
+
+    Every design of a grid is evaluated with the same draws, a Gaussian process smooths the map, and the maximum of its mean
+    is evaluated once more with fresh draws, so the gain that is returned is free of the winner's curse.
+
+    Args:
+        fits: hypothesis -> fit (:attr:`imr_torch.gap.attribute.Attribution.fits`), with ``"none"`` if it is still possible.
+        posterior: hypothesis -> probability.
+        simulator: makes the bubbles.
+        seed: of draws and surrogate.
+        plan: how the next experiment will be observed.
+        space: designs that can be shot.
+        grid: designs along We and R_inf*.
+        draws: posterior draws of each cause.
+        progress: called with one line per design.
+
+    Raises:
+        InputDataError: if fewer than two causes are left, or the grid has fewer than two designs each way.
+        ConvergenceError: if too few designs could be simulated for a map.
+    """
+    if min(grid) < 2:
+        raise InputDataError(f"identity_design needs a grid of at least 2 x 2 designs, got {grid}.")
+    causes = remaining_causes(fits, posterior)
+    parts = tuple(fits[name].posterior for name in causes)
+    belief = Belief(parts, torch.tensor(list(causes.values()), dtype=torch.float64).log())
+    space = space or DesignSpace()
+    acquisition = IdentityInformation(
+        belief, simulator, plan=plan, space=space, estimator=Estimator(draws=draws), seed=child(seed, "grid")
+    )
+    optimizer = DesignOptimizer(space, seed=child(seed, "surrogate"))
+    designs = _grid(space, grid)
+    found = []
+    for number, design in enumerate(designs):
+        gain = acquisition.estimate(design[None])
+        tell_gain(optimizer, design, gain)
+        found.append(gain)
+        if progress:
+            progress(
+                f"next design {number + 1}/{len(designs)}: We {design[0]:.0f}, R_inf* {design[1]:.3f}: {gain.value:.3f} nats"
+            )
+    if len(optimizer.train_X) < 2:
+        raise ConvergenceError(
+            f"Too many bubbles failed at {len(designs) - len(optimizer.train_X)} of {len(designs)} designs; narrow the DesignSpace."
+        )
+    best = optimizer.recommend().design
+    acquisition.seed = child(seed, "best")
+    gain = acquisition.estimate(best[None])
+    return NextDesign(
+        design=best,
+        gain=gain.value,
+        error=math.sqrt(gain.variance),
+        entropy=-sum(p * math.log(p) for p in causes.values()),
+        causes=causes,
+        grid=designs,
+        gains=torch.tensor([g.value for g in found], dtype=torch.float64),
+        errors=torch.tensor([g.variance for g in found], dtype=torch.float64).sqrt(),
+    )
+
+
+def _grid(space: DesignSpace, counts: tuple[int, int]) -> Tensor:
+    """``n x 2`` designs, evenly over the space, its edges included."""
+    lower, upper = space.bounds
+    axes = [torch.linspace(float(a), float(b), n, dtype=torch.float64) for a, b, n in zip(lower, upper, counts, strict=True)]
+    return torch.cartesian_prod(*axes)

@@ -1,0 +1,317 @@
+"""Where does the gap lie: when in the event it begins, and in which experiments.
+
+*When*: refit on the frames up to a moment and test; the first moment that rejects is the onset, because frames before an
+effect acts know nothing of it, whereas the residual of a fit to all frames is spread over them by the fit. *Which*: the same
+test on one design at a time, and the drift of the parameters over designs: a trend in We (which fixes the size and so the
+rate) points to rate or size, one in R_inf* to stretch or gas, none to what is alike everywhere. Goes in: a fit and its
+neighbourhood. Refits are linear (:mod:`imr_torch.gap.restrict`).
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.errors import InputDataError
+from imr_torch.gap.linear import Linearisation, curves
+from imr_torch.gap.restrict import calibrate, draw_residuals, log_p, moved, refit, restrict
+from imr_torch.observe import ExperimentBatch, collapse_time
+from imr_torch.random import SeedLike
+from imr_torch.simulate import Simulator
+
+PHASES = ("start", "first collapse", "first rebound", "second collapse", "later")
+"""Phases of an event, in order."""
+
+_ENDS = (0.3, 1.25, 1.75, 2.25)  # phase clock at which each ends; what a collapse did is seen in the rise after it
+_GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
+_LEVEL = 0.01  # of a false onset or trend; that there is a gap at all is not decided here
+_PULSES = 8
+_RAYLEIGH = 0.915  # collapse time of an empty bubble, Rmax sqrt(rho/p)
+_BESIDE = 4  # designs from which on the trends in We and R_inf* are told apart
+
+
+def phase_clock(times: Tensor, prediction: Tensor, mask: Tensor) -> Tensor:
+    """How far the event has come at each frame: 0 at the start, 1 at the first collapse, 1.5 at the rebound's top, 2 ...
+
+    Args:
+        times: ``E x T`` tensor, dimensionless.
+        prediction: ``E x T`` tensor, R/Rmax of the fitted model, whose landmarks are used.
+        mask: ``E x T`` boolean tensor, frames that exist.
+
+    Returns:
+        ``E x T`` tensor; linear in time between landmarks and, after the second collapse, by the length of the first cycle.
+    """
+    return torch.stack([_clock(t, r, m) for t, r, m in zip(times, prediction, mask, strict=True)])
+
+
+def _clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
+    t, r = times[mask], radius[mask]
+    first, second = (collapse_time(t, r, number) for number in (1, 2))
+    first = _RAYLEIGH if math.isinf(first) else first
+    later = (t > first) & (t < second)
+    top = float(t[later][r[later].argmax()]) if bool(later.any()) else 2.0 * first
+    second = 2.0 * top - first if math.isinf(second) else second
+    knots = torch.tensor((0.0, first, top, second, second + (second - first)), dtype=torch.float64)
+    values = torch.tensor((0.0, 1.0, 1.5, 2.0, 3.0), dtype=torch.float64)
+    piece = (torch.searchsorted(knots, times.contiguous()) - 1).clamp(0, 3)
+    slope = (values[1:] - values[:-1]) / (knots[1:] - knots[:-1])
+    return values[piece] + slope[piece] * (times - knots[piece])
+
+
+def phase_name(clock: float) -> str:
+    """The phase at a reading of the phase clock."""
+    return PHASES[sum(clock > end + 1e-9 for end in _ENDS)]
+
+
+@dataclass(frozen=True)
+class Onset:
+    """When the gap begins.
+
+    Args:
+        time: dimensionless time of the last frame of the first prefix that rejects, median over experiments; NaN if none does.
+        phase: one of ``PHASES``, or ``"none"``.
+        times: the end of each prefix, dimensionless, median over experiments.
+        p_values: of each prefix, calibrated over all prefixes and tests.
+        level: below which a prefix rejects.
+    """
+
+    time: float
+    phase: str
+    times: tuple[float, ...]
+    p_values: tuple[float, ...]
+    level: float
+
+    def __str__(self) -> str:
+        if self.phase == "none":
+            return f"No prefix of the records rejects the model (smallest p = {min(self.p_values):.2g})."
+        return f"The gap begins in the {self.phase}: records up to t* = {self.time:.2f} already reject the model."
+
+
+def generic_directions(fit: ModelFit, line: Linearisation, batch: ExperimentBatch, simulator: Simulator) -> dict[str, Tensor]:
+    """Directions that stand for no effect in particular: a pressure pulse at each of several times, and output shapes.
+
+    Returns:
+        Name -> whitened rows ``k x N``. A pulse is a test of its own, so that an early prefix is not asked about late ones.
+    """
+    last = float(batch.times[batch.mask].max())
+    centres = torch.linspace(0.1, 0.9, _PULSES, dtype=torch.float64) * last
+    width = math.log(0.5 * last / _PULSES)
+    changes = [{"pulse": 0.01, "pulse_time": float(c), "pulse_width": width} for c in centres]
+    pulses = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num())
+    slope = torch.stack([torch.gradient(r, spacing=(t,))[0] for r, t in zip(line.prediction, batch.times, strict=True)])
+    shape = line.whiten(torch.stack((slope, batch.times * slope)))
+    return {f"pulse at {c:.2f}": row[None] for c, row in zip(centres.tolist(), pulses, strict=True)} | {"shape": shape}
+
+
+def onset(
+    fit: ModelFit,
+    line: Linearisation,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: SeedLike,
+    directions: Mapping[str, Tensor] | None = None,
+    relinearise: bool = False,
+    level: float = _LEVEL,
+) -> Onset:
+    """The prefix test: refit on the frames up to a moment and test, for a grid of moments.
+
+    Moments are set on the phase clock of each experiment, so that curves whose collapses come at different times are cut
+    alike. Refits are linear about ``fit``, and with ``relinearise`` once more about where that leads.
+
+    Args:
+        fit: the base model's fit.
+        line: its neighbourhood.
+        batch: the data.
+        simulator: makes the bubbles.
+        seed: of the residuals drawn for the calibration.
+        directions: name -> whitened rows ``k x N`` to test (:func:`imr_torch.gap.score.effect_directions`) beside the
+            generic ones.
+        relinearise: whether each prefix has its own linearisation, a bubble for each parameter, kind of nuisance and
+            experiment; it matters where a gap is so large that the fit is far from what an early prefix wants.
+        level: chance of a false onset anywhere in the event.
+    """
+    tests = generic_directions(fit, line, batch, simulator) | dict(directions or {})
+    clock = phase_clock(batch.times, line.prediction, batch.mask)
+    drawn = draw_residuals(line, seed=seed)
+    ends, times, observed, calibration = [], [], [], []
+    before = 0
+    for end in _GRID:
+        frames = (clock <= end) & batch.mask
+        if int(frames.sum()) == before:
+            continue
+        before = int(frames.sum())
+        part = restrict(line, frames)
+        if relinearise:
+            part = restrict(moved(fit, line, refit(part)[0], batch, simulator), frames)
+        data, null = log_p(part, frames, tests, drawn)
+        ends.append(end)
+        times.append(_last_frame(batch.times, frames))
+        observed.append(data)
+        calibration.append(null)
+    p_values = calibrate(observed, calibration).tolist()
+    first = next((i for i, p in enumerate(p_values) if p < level), None)
+    if first is None:
+        return Onset(math.nan, "none", tuple(times), tuple(p_values), level)
+    return Onset(times[first], phase_name(ends[first]), tuple(times), tuple(p_values), level)
+
+
+def _last_frame(times: Tensor, frames: Tensor) -> float:
+    """Median over experiments of the last frame's time."""
+    return float(torch.where(frames, times, 0.0).amax(1).median())
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Drift of one fitted parameter over a coordinate of the design.
+
+    Args:
+        parameter: its name.
+        over: ``"We"`` or ``"R_inf*"``.
+        slope: change of the parameter's control (prior standard deviations) over the range of the coordinate that was shot.
+        z: slope over its standard deviation.
+    """
+
+    parameter: str
+    over: str
+    slope: float
+    z: float
+
+
+@dataclass(frozen=True)
+class ByExperiment:
+    """Which experiments the gap lies in.
+
+    Args:
+        labels: of the experiments.
+        p_values: of each design on its own, its parameters refitted; calibrated over designs and tests.
+        names: fitted parameters.
+        values: ``E x d`` tensor, refitted to each design alone, SI.
+        low: ``E x d`` tensor, one standard deviation below.
+        high: ``E x d`` tensor, one above.
+        trends: drift of each parameter over each coordinate of the design.
+        reading: one sentence on what the trends point to.
+    """
+
+    labels: tuple[str, ...]
+    p_values: tuple[float, ...]
+    names: tuple[str, ...]
+    values: Tensor
+    low: Tensor
+    high: Tensor
+    trends: tuple[Trend, ...]
+    reading: str
+
+
+def by_experiment(
+    fit: ModelFit,
+    line: Linearisation,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: SeedLike,
+    directions: Mapping[str, Tensor] | None = None,
+    level: float = _LEVEL,
+) -> ByExperiment:
+    """The gap test and the parameters of each design alone, and the drift of the parameters over designs.
+
+    Args:
+        fit: the base model's fit.
+        line: its neighbourhood.
+        batch: the data.
+        simulator: makes the bubbles.
+        seed: of the residuals drawn for the calibration.
+        directions: as in :func:`onset`.
+        level: chance of a false trend, over all parameters and coordinates.
+
+    Returns:
+        Tests, parameters by linear refit, trends by generalised least squares with all nuisances free.
+    """
+    tests = generic_directions(fit, line, batch, simulator) | dict(directions or {})
+    drawn = draw_residuals(line, seed=seed)
+    observed, calibration, values = [], [], []
+    for e in range(len(batch.experiments)):
+        frames = torch.zeros_like(batch.mask)
+        frames[e] = batch.mask[e]
+        part = restrict(line, frames)
+        shift, to_shift = refit(part)
+        sd = to_shift[: len(fit.mean)].norm(dim=1)
+        centre = fit.mean + shift[: len(fit.mean)]
+        values.append(torch.stack([_physical(fit, centre + step * sd) for step in (0.0, -1.0, 1.0)]))
+        data, null = log_p(part, frames, tests, drawn)
+        observed.append(data)
+        calibration.append(null)
+    trends = drifts(fit, line, batch)
+    centre, low, high = torch.stack(values).unbind(1)
+    p_values = tuple(calibrate(observed, calibration).tolist())
+    labels = tuple(e.label for e in batch.experiments)
+    return ByExperiment(labels, p_values, fit.prior.names, centre, low, high, trends, _read(trends, level))
+
+
+def _physical(fit: ModelFit, controls: Tensor) -> Tensor:
+    return fit.prior.physical(fit.prior.mean + fit.prior.chol @ controls)
+
+
+def drifts(fit: ModelFit, line: Linearisation, batch: ExperimentBatch) -> tuple[Trend, ...]:
+    """Slopes of the fitted parameters over log We and R_inf*, from generalised least squares beside all that was fitted.
+
+    With fewer than four designs each coordinate is taken alone, so that one that goes with the other shows in both.
+    """
+    size = len(fit.mean)
+    coordinates = {"We": batch.designs[:, 0].log(), "R_inf*": batch.designs[:, 1]}
+    scaled = {name: _centred(x) for name, x in coordinates.items() if float(x.max() - x.min()) > 1e-6}
+    gel = line.fitted.clone()
+    gel[batch.mask.numel() :] = 0.0  # a drift is no shift of the mean, so the prior says nothing of it
+    rows = {}
+    for name, x in scaled.items():
+        weight = torch.nn.functional.pad(x[:, None].expand_as(batch.mask).flatten(), (0, len(gel) - batch.mask.numel()))
+        rows[name] = line.project(gel[:, :size].mT * weight)
+    trends = []
+    for name, own in rows.items():
+        others = [row for other, row in rows.items() if other != name] if len(batch.experiments) >= _BESIDE else []
+        for i, parameter in enumerate(fit.prior.names):
+            beside = torch.cat([own[:i], own[i + 1 :], *others])
+            left = own[i] - torch.linalg.lstsq(beside.mT, own[i]).solution @ beside if len(beside) else own[i]
+            length = float(left.norm())
+            if length > 1e-3:
+                z = float(left @ line.residual) / length
+                trends.append(Trend(parameter, name, z / length, z))
+    return tuple(trends)
+
+
+def _centred(x: Tensor) -> Tensor:
+    """A coordinate over its range, about its mean."""
+    return (x - x.mean()) / (x.max() - x.min())
+
+
+_MEANING = {"We": "rate or size", "R_inf*": "stretch or gas"}
+
+
+def _read(trends: tuple[Trend, ...], level: float) -> str:
+    if not trends:
+        return "All experiments share one design, so nothing can be said about trends."
+    limit = -torch.special.ndtri(torch.tensor(0.5 * level / len(trends), dtype=torch.float64)).item()
+    found = {name: [t.parameter for t in trends if t.over == name and abs(t.z) > limit] for name in _MEANING}
+    said = [f"{', '.join(names)} over {over} (points to {_MEANING[over]})" for over, names in found.items() if names]
+    if said:
+        return f"Fitted parameters drift: {'; '.join(said)}."
+    return "No fitted parameter drifts over the designs: the cause, if any, is alike in all, as errors of measurement are."
+
+
+def frames_between(batch: ExperimentBatch, start: float, end: float) -> Tensor:
+    """``E x T`` boolean tensor: frames with ``start <= t* < end``.
+
+    Raises:
+        InputDataError: if there is no such frame.
+    """
+    frames = (batch.times >= start) & (batch.times < end) & batch.mask
+    if not bool(frames.any()):
+        raise InputDataError(f"No frame lies between t* = {start:g} and {end:g}; the records end at {_end(batch):g}.")
+    return frames
+
+
+def _end(batch: ExperimentBatch) -> float:
+    return float(batch.times[batch.mask].max())

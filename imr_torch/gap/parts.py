@@ -1,0 +1,124 @@
+"""What a diagnosis may add to its verdict: where the gap lies, how far it shrinks on designs held out, what to shoot next.
+
+Each part is optional: a report says of one that was not run that it was not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from imr_torch.gap.attribute import Attribution
+from imr_torch.gap.diagnose import GapReport
+from imr_torch.gap.effects import LIBRARY
+from imr_torch.gap.hypotheses import Hypothesis
+from imr_torch.gap.identity_design import NextDesign, identity_design
+from imr_torch.gap.latent import LatentPressure, latent_pressure
+from imr_torch.gap.linear import linearise
+from imr_torch.gap.locate import ByExperiment, Onset, by_experiment, onset
+from imr_torch.gap.score import effect_directions
+from imr_torch.gap.shrinkage import Shrinkage, shrinkage, shrinkage_unseen
+from imr_torch.gap.windows import MovingWindows, moving_windows
+from imr_torch.observe import Experiment, ExperimentBatch
+from imr_torch.random import child
+from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Parts beside the verdict; None where one was not run.
+
+    Args:
+        onset: when the gap begins.
+        by_experiment: which experiments it lies in.
+        latent: the pressure that would explain it.
+        windows: apparent parameters over the event.
+        shrinkage: how far a named cause shrinks the gap on designs that its fit did not see.
+        next_design: what to shoot to tell the causes apart that are still possible.
+    """
+
+    onset: Onset | None = None
+    by_experiment: ByExperiment | None = None
+    latent: LatentPressure | None = None
+    windows: MovingWindows | None = None
+    shrinkage: Shrinkage | None = None
+    next_design: NextDesign | None = None
+
+
+def examine(
+    report: GapReport,
+    simulator: Simulator,
+    *,
+    unseen: Sequence[Experiment] = (),
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Parts:
+    """All parts that a report allows: none where there is no gap, or where the base model's fit cannot be leant on.
+
+    Args:
+        report: the diagnosis.
+        simulator: makes the bubbles, as in the diagnosis.
+        unseen: experiments that the diagnosis did not see, on which the shrinkage is judged; without them the diagnosed
+            ones are held out in turn.
+        seed: of calibrations and searches.
+        progress: called with one line per step.
+    """
+    if not (report.gap.found and report.null.certificate.converged):
+        return Parts()
+    tell = progress or (lambda text: None)
+    fit, batch = report.null, report.batch
+    line = linearise(fit, batch, simulator)
+    offered = [LIBRARY[block.name] for block in report.gap.blocks if block.name in LIBRARY]
+    directions = effect_directions(offered, fit, batch, simulator, line)
+    tell("location: onset")
+    when = onset(fit, line, batch, simulator, seed=child(seed, "onset"), directions=directions)
+    tell("location: experiments, latent pressure, moving windows")
+    return Parts(
+        when,
+        by_experiment(fit, line, batch, simulator, seed=child(seed, "experiments"), directions=directions),
+        latent_pressure(fit, line, batch, simulator),
+        moving_windows(fit, line, batch, simulator),
+        _shrunk(report, simulator, unseen, seed, progress),
+        _next(report, simulator, seed, progress),
+    )
+
+
+def _shrunk(
+    report: GapReport, simulator: Simulator, unseen: Sequence[Experiment], seed: int, progress: Progress | None
+) -> Shrinkage | None:
+    """Shrinkage by the named cause beside its best rival; None without a cause, or without a design to judge it on."""
+    found = report.attribution
+    if found is None or report.verdict not in ("effect", "class"):
+        return None
+    rival = _best_rival(found)
+    effect, other = _hypothesis(report, found.winner), _hypothesis(report, rival) if rival else None
+    fits, seed = found.fits | {"none": report.null}, child(seed, "shrinkage")
+    if unseen:
+        batch = ExperimentBatch(tuple(unseen), report.batch.noise)
+        return shrinkage_unseen(effect, other, fits, batch, simulator, seed=seed)
+    if len(report.batch.experiments) < 2:
+        return None
+    return shrinkage(effect, other, report.batch, simulator, seed=seed, near=fits, progress=progress)
+
+
+def _next(report: GapReport, simulator: Simulator, seed: int, progress: Progress | None) -> NextDesign | None:
+    """The design that tells causes apart, where more than one of another class is in the credible set."""
+    found = report.attribution
+    if found is None:
+        return None
+    open_ = {LIBRARY[name.split("+")[-1]].family for name in found.credible_set() if name in found.fits and name != "none"}
+    if len(open_) < 2:
+        return None
+    return identity_design(found.fits, found.posterior, simulator, seed=child(seed, "next"), progress=progress)
+
+
+def _hypothesis(report: GapReport, name: str) -> Hypothesis:
+    return Hypothesis(report.null.prior, tuple(LIBRARY[effect] for effect in name.split("+")))
+
+
+def _best_rival(found: Attribution) -> str | None:
+    """The refitted hypothesis of largest evidence that is as long as the winner and of another class."""
+    own, last = LIBRARY[found.winner.split("+")[-1]].family, found.winner.count("+")
+    others = [
+        name for name in found.fits if name != "none" and name.count("+") == last and LIBRARY[name.split("+")[-1]].family != own
+    ]
+    return max(others, key=found.log_evidence.__getitem__, default=None)

@@ -1,0 +1,219 @@
+"""Figures of a diagnosis: where the residual sits, what rejects the model, when, what pressure, which cause, before and after.
+
+Every ``plot_*`` draws into ``ax`` (a new figure when None) and returns the axes; nothing is shown or saved here. Colours are
+told apart by colour-blind readers, and what matters is also written.
+"""
+
+import math
+
+import matplotlib
+
+matplotlib.use("Agg", force=False)
+import matplotlib.pyplot as plt
+import torch
+from matplotlib.axes import Axes
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.gap.effects import LIBRARY
+from imr_torch.gap.latent import LatentPressure
+from imr_torch.gap.locate import PHASES, Onset, phase_clock, phase_name
+from imr_torch.gap.score import BlockResult, GapTest
+from imr_torch.gap.shrinkage import Shrinkage
+from imr_torch.gap.windows import MovingWindows
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import ExperimentBatch
+
+DATA, BASE, AFTER, ALARM = "#222222", "#E69F00", "#0072B2", "#D55E00"
+_SMALLEST = 300.0  # -log10 p beyond which p-values are zero in float64
+_LINEAR = 10.0  # -log10 p up to which axes are linear; logarithmic beyond
+_BARS = 12
+_BAND = 1.645  # standard deviations of a 90 % band
+
+
+def _axes(ax: Axes | None, size: tuple[float, float] = (5.2, 3.4)) -> Axes:
+    if ax is not None:
+        return ax
+    return plt.subplots(figsize=size, layout="constrained")[1]
+
+
+def _strength(p_value: float) -> float:
+    """How small a p-value is, in powers of ten."""
+    return -math.log10(max(p_value, 10.0**-_SMALLEST))
+
+
+def phase_rms(fit: ModelFit, batch: ExperimentBatch) -> Tensor:
+    """Root mean square residual of the mean curves by experiment and phase, over its noise: ``E x len(PHASES)``, NaN if empty.
+
+    1 is what noise alone leaves.
+    """
+    clock = phase_clock(batch.times, fit.prediction, batch.mask)
+    noise = batch.sd(fit.prediction) / batch.repeats.sqrt()[:, None]
+    square = torch.where(batch.mask, ((batch.mean - fit.prediction) / noise).square(), 0.0)
+    names = [[phase_name(c) for c in row] for row in clock.tolist()]
+    columns = []
+    for phase in PHASES:
+        inside = torch.tensor([[name == phase for name in row] for row in names]) & batch.mask
+        columns.append((torch.where(inside, square, 0.0).sum(1) / inside.sum(1)).sqrt())
+    return torch.stack(columns, 1)
+
+
+def plot_phase_residual(fit: ModelFit, batch: ExperimentBatch, *, ax: Axes | None = None) -> Axes:
+    """Where the residual of a fit sits: a map over experiments and phases, 1 being noise alone."""
+    values = phase_rms(fit, batch)
+    ax = _axes(ax, (5.8, 1.4 + 0.36 * len(values)))
+    top = max(3.0, float(values.nan_to_num().max()))
+    image = ax.imshow(values.numpy(), cmap="Blues", vmin=0.0, vmax=top, aspect="auto")
+    for i, row in enumerate(values.tolist()):
+        for j, value in enumerate(row):
+            text = "" if math.isnan(value) else f"{value:.1f}"
+            ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if value > 0.6 * top else "black")
+    ax.set_xticks(range(len(PHASES)), [phase.replace(" ", "\n") for phase in PHASES], fontsize=8)
+    ax.set_yticks(range(len(values)), [e.label for e in batch.experiments], fontsize=8)
+    ax.figure.colorbar(image, ax=ax, label="rms residual / noise")
+    return ax
+
+
+def plot_scores(test: GapTest, *, ax: Axes | None = None) -> Axes:
+    """P-values of the blocks of a gap test, most telling first, with the power of those that have an amplitude."""
+    shown = test.blocks[:_BARS]
+    ax = _axes(ax, (6.4, 1.0 + 0.27 * len(shown)))
+    strength = [_strength(b.p_value) for b in shown]
+    limit = -math.log10(0.04 / len(test.blocks))
+    places = range(len(shown) - 1, -1, -1)
+    ax.barh(places, strength, color=[ALARM if s > limit else "#AAAAAA" for s in strength], height=0.7)
+    ax.axvline(limit, color=DATA, ls="--", lw=1)
+    for place, s in zip(places, strength, strict=True):
+        ax.text(s, place, f" {'> ' if s == _SMALLEST else ''}{s:.3g}", va="center", fontsize=7)
+    ax.set_yticks(places, [_labelled(b) for b in shown], fontsize=8)
+    ax.set(xlabel="$-\\log_{10} p$  (dashed: 4 % after Bonferroni)", xlim=(0.0, 3.0 * max(*strength, limit)))
+    ax.set_xscale("symlog", linthresh=_LINEAR)
+    return ax
+
+
+def _labelled(block: BlockResult) -> str:
+    """A block's name, with its power where it stands for an effect of typical size."""
+    return f"{block.name} (power {block.power:.2f})" if block.name in LIBRARY and not math.isnan(block.power) else block.name
+
+
+def plot_onset(found: Onset, *, ax: Axes | None = None) -> Axes:
+    """P-value of a refit to the frames up to each moment; the first below the level is the onset."""
+    ax = _axes(ax)
+    strength = [_strength(p) for p in found.p_values]
+    ax.plot(found.times, strength, "o-", color=AFTER, ms=4)
+    ax.axhline(-math.log10(found.level), color=DATA, ls="--", lw=1, label=f"{100 * found.level:g} % over the whole event")
+    if found.phase != "none":
+        ax.axvline(found.time, color=ALARM, lw=1.5, label=f"onset: {found.phase}, t* = {found.time:.2f}")
+    ax.set_yscale("symlog", linthresh=_LINEAR)
+    ax.set(xlabel="frames up to t*", ylabel="$-\\log_{10} p$", ylim=(0.0, 2.0 * max(*strength, _LINEAR)))
+    ax.legend(frameon=False, fontsize=8)
+    return ax
+
+
+def plot_latent_pressure(found: LatentPressure, *, ax: Axes | None = None) -> Axes:
+    """The pressure in the far field that would explain the residual, with its 90 % band."""
+    ax = _axes(ax)
+    half = _BAND * found.sd
+    ax.fill_between(found.times, found.mean - half, found.mean + half, color=AFTER, alpha=0.25, lw=0, label="90 % band")
+    ax.plot(found.times, found.mean, color=AFTER, lw=1.5, label="mean")
+    ax.axhline(0.0, color=DATA, lw=0.8)
+    ax.set(xlabel="t*", ylabel="latent pressure / p_inf")
+    ax.legend(frameon=False, fontsize=8)
+    return ax
+
+
+def plot_window_parameter(found: MovingWindows, name: str, *, ax: Axes | None = None) -> Axes:
+    """One apparent parameter over the event, with its standard deviation."""
+    ax = _axes(ax, (3.6, 2.8))
+    i, entry = found.names.index(name), PARAMETERS[name]
+    middle, low, high = (entry.display_scale * x[:, i] for x in (found.values, found.low, found.high))
+    ax.errorbar(found.centres, middle, yerr=torch.stack((middle - low, high - middle)), fmt="o-", ms=4, capsize=2, color=AFTER)
+    ax.set(xlabel="centre of the window, t*", ylabel=entry.label)
+    return ax
+
+
+def plot_causes(posterior: dict[str, float], *, ax: Axes | None = None) -> Axes:
+    """Probability of each cause, the most probable first; none and other stand out."""
+    shown = sorted(posterior.items(), key=lambda item: -item[1])[:_BARS]
+    ax = _axes(ax, (5.6, 1.0 + 0.27 * len(shown)))
+    places = range(len(shown) - 1, -1, -1)
+    colors = [{"none": "#AAAAAA", "other": ALARM}.get(name, AFTER) for name, _ in shown]
+    ax.barh(places, [p for _, p in shown], color=colors, height=0.7)
+    for place, (_, probability) in zip(places, shown, strict=True):
+        ax.text(probability, place, f" {probability:.3f}", va="center", fontsize=8)
+    ax.set_yticks(places, [name for name, _ in shown], fontsize=8)
+    ax.set(xlabel="probability", xlim=(0.0, 1.15))
+    return ax
+
+
+def plot_curves(
+    batch: ExperimentBatch, number: int, base: Tensor, after: Tensor | None = None, *, ax: Axes | None = None
+) -> Axes:
+    """Mean measured curve of one experiment, the base model, and the model with the cause.
+
+    Args:
+        batch: the data.
+        number: which experiment.
+        base: ``E x T`` tensor, prediction of the base model.
+        after: ``E x T`` tensor, prediction with the cause, if there is one.
+        ax: where to draw.
+    """
+    ax = _axes(ax)
+    seen, times = batch.mask[number], batch.times[number]
+    ax.plot(times[seen], batch.mean[number][seen], ".", ms=3, color=DATA, label="measured")
+    ax.plot(times[seen], base[number][seen], color=BASE, lw=1.5, ls="--", label="base model")
+    if after is not None:
+        ax.plot(times[seen], after[number][seen], color=AFTER, lw=1.2, label="with the cause")
+    ax.set(ylabel="R*", ylim=(0.0, None))
+    ax.set_title(batch.experiments[number].label, fontsize=9)
+    ax.legend(frameon=False, fontsize=7)
+    return ax
+
+
+def plot_residuals(
+    batch: ExperimentBatch, number: int, base: Tensor, after: Tensor | None = None, *, ax: Axes | None = None
+) -> Axes:
+    """Residuals of the mean curve of one experiment over the noise of that mean, with the base model and with the cause."""
+    ax = _axes(ax, (5.2, 2.2))
+    seen, times = batch.mask[number], batch.times[number]
+    noise = batch.sd(base)[number] / math.sqrt(batch.experiments[number].repeats)
+    ax.axhspan(-2.0, 2.0, color="#DDDDDD", lw=0)
+    for curve, color, style in ((base, BASE, "--"), (after, AFTER, "-")):
+        if curve is not None:
+            ax.plot(times[seen], ((batch.mean - curve)[number] / noise)[seen], color=color, ls=style, lw=1.2)
+    ax.set(xlabel="t*", ylabel="residual / noise")
+    return ax
+
+
+def plot_shrinkage(found: Shrinkage, *, ax: Axes | None = None) -> Axes:
+    """Part of the squared bias on held-out designs that each hypothesis removes, with its 90 % interval."""
+    names = list(found.shrinkage)
+    ax = _axes(ax, (5.2, 1.0 + 0.4 * len(names)))
+    low, middle, high = 100.0 * torch.tensor([found.shrinkage[name] for name in names], dtype=torch.float64).mT
+    places = range(len(names) - 1, -1, -1)
+    ax.errorbar(middle, places, xerr=torch.stack((middle - low, high - middle)), fmt="o", color=AFTER, capsize=3)
+    for at in (0.0, 100.0):
+        ax.axvline(at, color=DATA, lw=0.8)
+    ax.set_yticks(places, [f"{name} (rival)" if name == found.rival else name for name in names], fontsize=8)
+    ax.set(xlabel="held-out gap removed (%)", ylim=(-0.5, len(names) - 0.5))
+    return ax
+
+
+def plot_shift(base: ModelFit, after: ModelFit, *, ax: Axes | None = None) -> Axes:
+    """How far the cause moves the parameters of the base model: 90 % intervals relative to the base model's medians."""
+    names = base.prior.names
+    ax = _axes(ax, (5.2, 0.9 + 0.5 * len(names)))
+    levels = torch.tensor((0.05, 0.5, 0.95), dtype=torch.float64)
+    before = base.posterior.quantile(levels)
+    later = after.posterior.quantile(levels)[:, [after.prior.names.index(name) for name in names]]
+    for values, color, offset, label in ((before, BASE, 0.12, "base model"), (later, AFTER, -0.12, "with the cause")):
+        low, middle, high = 100.0 * (values / before[1] - 1.0)
+        places = [len(names) - 1 - i + offset for i in range(len(names))]
+        ax.errorbar(
+            middle, places, xerr=torch.stack((middle - low, high - middle)), fmt="o", color=color, capsize=3, label=label
+        )
+    ax.axvline(0.0, color=DATA, lw=0.8)
+    ax.set_yticks(range(len(names) - 1, -1, -1), [PARAMETERS[name].label for name in names], fontsize=8)
+    ax.set(xlabel="change against the base model (%), 90 % intervals", ylim=(-0.5, len(names) - 0.5))
+    ax.legend(frameon=False, fontsize=8)
+    return ax

@@ -1,0 +1,306 @@
+"""A diagnosis in plain words and as JSON: is there a gap, where, which cause, how far it shrinks, and what is not said.
+
+The page in words is a list of headed sections; the printed text and the HTML page are two settings of the same list. What a
+part that was not run would have said is listed under what the report refuses to say, with the reason.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from scipy.optimize import brentq
+from scipy.stats import chi2, ncx2
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.gap.attribute import ADEQUATE
+from imr_torch.gap.diagnose import GapReport
+from imr_torch.gap.effects import LIBRARY
+from imr_torch.gap.identity_design import NextDesign
+from imr_torch.gap.parts import Parts
+from imr_torch.gap.score import BlockResult
+from imr_torch.material import PARAMETERS
+
+_LEVELS = (0.05, 0.5, 0.95)
+_CAUSES = 5
+_BLOCKS = 3
+_BLIND = 0.5  # power below which an effect counts as hidden at this number of repeats
+_UNSURE = 0.1  # power below which it is close to the level itself, and only a bound on the repeats is known
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading and its sentences."""
+
+    heading: str
+    sentences: tuple[str, ...]
+
+
+def describe(report: GapReport, parts: Parts | None = None) -> str:
+    """The page in plain words."""
+    blocks = []
+    for section in sections(report, parts):
+        lines = "\n".join(f"  {sentence}" for sentence in section.sentences)
+        blocks.append(f"{section.heading}\n{lines}")
+    return "\n\n".join(blocks)
+
+
+def sections(report: GapReport, parts: Parts | None = None) -> list[Section]:
+    """What a diagnosis found, as headed sentences in the order of the questions."""
+    parts = parts or Parts()
+    return [
+        Section("Verdict", (headline(report), report.reason)),
+        Section("Is there a gap?", _gap(report)),
+        Section("Where does it lie?", _where(report, parts)),
+        Section("Which effect causes it?", _causes(report)),
+        Section("How far does it shrink?", _shrinkage(report, parts)),
+        Section("What does it do to the parameters?", _shift(report)),
+        Section("What to measure next?", _next(report, parts)),
+        Section("What is not said, and why", _refusals(report, parts)),
+        Section("Can the fits be leant on?", _certificates(report)),
+    ]
+
+
+def headline(report: GapReport) -> str:
+    """The verdict in one sentence."""
+    names = [f"{name} ({LIBRARY[name].meaning})" if name in LIBRARY else name for name in report.cause]
+    if report.verdict == "none":
+        return "No gap was found: the base model describes these data within their noise."
+    if report.verdict == "other":
+        return "There is a gap, and no effect of the library that was offered explains it."
+    if report.verdict == "effect":
+        return f"There is a gap, and its cause is {' together with '.join(names)}."
+    if report.verdict == "class":
+        return f"There is a gap, and its cause is among these, which the data do not tell apart: {', '.join(names)}."
+    return "Undecided." + (f" Leading candidates: {', '.join(names)}." if names else "")
+
+
+def _gap(report: GapReport) -> tuple[str, ...]:
+    test = report.gap
+    if not report.null.certificate.converged:
+        return ("No verdict: the base model's fit did not converge, and an unconverged fit looks exactly like a gap.",)
+    found = "Yes" if test.found else "None that shows"
+    lines = [
+        f"{found}: {_p(test.p_value)}, of the smallest of {len(test.blocks)} directed tests, calibrated with data drawn "
+        "under the fitted base model.",
+        f"Size: {test.bias_sigma:.2f} standard deviations of a single shot (rms), {test.bias_radius:.4f} in R*, after the "
+        "parameters have absorbed what they can, so the true gap is larger.",
+        "Tests that speak loudest: " + "; ".join(f"{b.name} ({_p(b.p_value)}{_power(b)})" for b in test.blocks[:_BLOCKS]) + ".",
+    ]
+    known = [b for b in test.blocks if b.name in LIBRARY and not math.isnan(b.power)]
+    hidden = [b for b in known if b.power < _BLIND]
+    if hidden:
+        lines.append(
+            "Would probably be missed here at a typical size: " + "; ".join(_needed(b, test.blocks) for b in hidden) + "."
+        )
+    elif known:
+        lines.append("Every effect of the library that was offered would probably be found here at a typical size.")
+    return tuple(lines)
+
+
+def _power(block: BlockResult) -> str:
+    return f", power {block.power:.2f}" if block.name in LIBRARY and not math.isnan(block.power) else ""
+
+
+def _needed(block: BlockResult, blocks: Sequence[BlockResult]) -> str:
+    """A hidden effect, and how many times the repeats would show it with power 0.8."""
+    factor = math.ceil(repeats_needed(max(block.power, _UNSURE), block.rank, len(blocks)))
+    word = "about" if block.power > _UNSURE else "more than"
+    return f"{block.name} (power {block.power:.2f}; {word} {factor} x the repeats would show it)"
+
+
+def repeats_needed(power: float, rank: int, tests: int, *, wanted: float = 0.8) -> float:
+    """Times the repeats that take a test from one power to another, as the noncentrality of chi-square is in proportion.
+
+    Args:
+        power: at the present number of repeats.
+        rank: degrees of freedom of the test.
+        tests: number of tests, for Bonferroni's level.
+        wanted: power to be reached.
+    """
+    threshold = chi2.isf(0.04 / tests, rank)
+
+    def noncentrality(chance: float) -> float:
+        return float(brentq(lambda size: ncx2.sf(threshold, rank, size) - chance, 1e-9, 1e4))  # type: ignore[arg-type]
+
+    return noncentrality(wanted) / noncentrality(power)
+
+
+def _where(report: GapReport, parts: Parts) -> tuple[str, ...]:
+    lines = []
+    if parts.onset is not None:
+        lines.append(str(parts.onset))
+    if parts.by_experiment is not None:
+        which = parts.by_experiment
+        loud = [f"{label} ({_p(p)})" for label, p in zip(which.labels, which.p_values, strict=True) if p < 0.04]
+        lines.append(f"Experiments that reject the model by themselves: {', '.join(loud) or 'none'}.")
+        lines.append(which.reading)
+    if parts.windows is not None:
+        drifting = [name for name, p in zip(parts.windows.names, parts.windows.p_constant.tolist(), strict=True) if p < 0.01]
+        lines.append(
+            f"Fitted to a moving window, {', '.join(drifting) or 'no parameter'} "
+            f"change{'' if len(drifting) > 1 else 's'} over the event; any missing effect does that, so it names no cause."
+        )
+    if parts.latent is not None:
+        lines.append(f"Latent pressure: {parts.latent.log_bayes:.0f} nats over none. {parts.latent.caveat}")
+    return tuple(lines) or (_unlocated(report),)
+
+
+def _unlocated(report: GapReport) -> str:
+    if not report.null.certificate.converged:
+        return "Not looked for, because the base model's fit did not converge."
+    return "Not run." if report.gap.found else "There is nothing to locate."
+
+
+def _causes(report: GapReport) -> tuple[str, ...]:
+    found = report.attribution
+    if found is None:
+        return (
+            "Not asked, because there is no gap to explain."
+            if report.verdict == "none"
+            else "Not asked, for lack of a sound fit.",
+        )
+    ranked = sorted(found.posterior.items(), key=lambda item: -item[1])[:_CAUSES]
+    lines = [
+        "Probabilities: " + ", ".join(f"{name} {p:.3f}" for name, p in ranked) + ".",
+        f"95 % credible set: {', '.join(found.credible_set())}.",
+        f"Adequacy of {found.winner}: {_p(found.adequacy.p_value)}"
+        + (", so it is enough." if found.adequacy.p_value >= ADEQUATE else ", so something else is still missing."),
+    ]
+    return tuple(lines)
+
+
+def _shrinkage(report: GapReport, parts: Parts) -> tuple[str, ...]:
+    found, causes = parts.shrinkage, report.attribution
+    if found is None or causes is None:
+        return ("Not computed." if fit_of_cause(report) else "No cause is named, so nothing is added that could shrink it.",)
+    lines = [f"On designs that the fits did not see, the gap is {found.word(causes.adequacy.p_value)} by {found.effect}."]
+    for name, (low, median, high) in found.shrinkage.items():
+        rival = " (the best rival)" if name == found.rival else ""
+        lines.append(
+            f"{name}{rival} removes {100 * median:.0f} % of the squared bias (90 %: {100 * low:.0f} to {100 * high:.0f} %)."
+        )
+    for other in found.comparisons:
+        lines.append(
+            f"It predicts held-out curves {other.difference:+.1f} +- {other.standard_error:.1f} nats better than "
+            f"{'the base model' if other.against == 'none' else other.against}."
+        )
+    if not found.converged:
+        lines.append("Some of the training fits did not converge: take these figures with care.")
+    return tuple(lines)
+
+
+def parameter_shift(report: GapReport) -> dict[str, dict[str, list[float]]] | None:
+    """Parameter of the base model -> its [5 %, 50 %, 95 %] without and with the named cause, SI; None without a cause."""
+    after = fit_of_cause(report)
+    if after is None:
+        return None
+    levels = torch.tensor(_LEVELS, dtype=torch.float64)
+    before, later = report.null.posterior.quantile(levels), after.posterior.quantile(levels)
+    return {
+        name: {"base": before[:, i].tolist(), "with_cause": later[:, after.prior.names.index(name)].tolist()}
+        for i, name in enumerate(report.null.prior.names)
+    }
+
+
+def fit_of_cause(report: GapReport) -> ModelFit | None:
+    """The fit with the leading cause, where the verdict names one."""
+    if report.attribution is None or report.verdict not in ("effect", "class"):
+        return None
+    return report.attribution.fits[report.attribution.winner]
+
+
+def _shift(report: GapReport) -> tuple[str, ...]:
+    shift = parameter_shift(report)
+    if shift is None:
+        if report.verdict == "none":
+            return ("No cause is added, so nothing moves.",)
+        return ("Without a named cause the fitted parameters are biased by an unknown amount: do not quote them.",)
+    assert report.attribution is not None
+    lines = [f"With {report.attribution.winner} added:"]
+    for name, values in shift.items():
+        scale = PARAMETERS[name].display_scale
+        (_, old, _), (low, new, high) = values["base"], values["with_cause"]
+        lines.append(
+            f"{PARAMETERS[name].label}: {scale * old:.4g} becomes {scale * new:.4g} (90 %: {scale * low:.4g} to "
+            f"{scale * high:.4g}), {100.0 * (new / old - 1.0):+.1f} %."
+        )
+    return tuple(lines)
+
+
+def _next(report: GapReport, parts: Parts) -> tuple[str, ...]:
+    lines = []
+    if (found := parts.next_design) is not None:
+        weber, rest = found.design.tolist()
+        lines.append(
+            f"We = {weber:.0f}, R_inf* = {rest:.3f} tells {', '.join(found.causes)} apart best: {found.gain:.2f} +- "
+            f"{found.error:.2f} nats of the {found.entropy:.2f} that are open."
+        )
+    lines += [f"{name} is easily mistaken for: {LIBRARY[name].confused}." for name in report.cause if name in LIBRARY]
+    return tuple(lines) or ("No cause is in question, so no design is asked to tell causes apart.",)
+
+
+def _refusals(report: GapReport, parts: Parts) -> tuple[str, ...]:
+    lines = []
+    if report.verdict == "other":
+        lines.append("What kind of effect it is: guesses at a family of an unknown effect are right in a third of cases.")
+    if report.verdict == "class":
+        lines.append("Which of the class it is: the data explain all of them about equally well.")
+    if report.verdict == "undecided":
+        lines.append("Whether there is a cause, and which.")
+    if report.verdict == "none":
+        lines.append("That the model is right: effects listed as probably missed may be there.")
+    if report.attribution is not None:
+        lines.append("Anything about effects that were not offered, but for their sum under 'other'.")
+        if parts.shrinkage is None:
+            lines.append("How far the gap shrinks on new designs: no shrinkage on held-out designs was computed.")
+    if report.attribution is not None and parts.onset is None:
+        lines.append("When the gap begins: the location was not run.")
+    return tuple(lines)
+
+
+def _certificates(report: GapReport) -> tuple[str, ...]:
+    lines = [f"Base model: {report.null.certificate}."]
+    if report.attribution is not None:
+        fits = report.attribution.fits
+        lines.append(f"{report.attribution.winner}: {fits[report.attribution.winner].certificate}.")
+        loose = [name for name, fit in fits.items() if not fit.certificate.converged and name != report.attribution.winner]
+        if loose:
+            lines.append(f"Rivals whose fits are loose, so that their probabilities are lower bounds: {', '.join(loose)}.")
+    return tuple(lines)
+
+
+def _p(value: float) -> str:
+    """A p-value as text."""
+    return f"p = {value:.2g}" if value > 1e-10 else "p < 1e-10"
+
+
+def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
+    """The report as JSON-ready values; null for every part that was not run."""
+    parts = parts or Parts()
+    found, when, judged, ahead = report.attribution, parts.onset, parts.shrinkage, parts.next_design
+    return {
+        "gap": report.gap.found and report.null.certificate.converged,
+        "p_gap": report.gap.p_value,
+        "bias_sigma": report.gap.bias_sigma,
+        "onset_t": None if when is None or when.phase == "none" else when.time,
+        "onset_phase": None if when is None else when.phase,
+        "verdict": report.verdict,
+        "cause": list(report.cause),
+        "posterior": None if found is None else found.posterior,
+        "credible_set": None if found is None else list(found.credible_set()),
+        "adequacy_p": None if found is None else found.adequacy.p_value,
+        "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
+        "best_rival": None if judged is None else judged.rival,
+        "parameter_shift": parameter_shift(report),
+        "next_design": None if ahead is None else _design(ahead),
+        "converged": report.converged,
+        "seconds": report.seconds,
+    }
+
+
+def _design(found: NextDesign) -> dict[str, Any]:
+    """The next design, its gain in nats and what it tells apart."""
+    weber, rest = found.design.tolist()
+    return {"We": weber, "R_inf*": rest, "gain": found.gain, "gain_sd": found.error, "tells_apart": list(found.causes)}

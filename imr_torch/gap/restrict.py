@@ -1,0 +1,124 @@
+"""A fit's neighbourhood seen through some frames only: linear refits, and tests of what such a refit leaves.
+
+Leaving frames out changes neither the curves nor their sensitivities, only which rows count; the priors always do. So every
+"refit on a part of the data" in locating a gap is one small least-squares problem on rows that are there already, in place of
+a nonlinear search. That is first order in the distance between the two fits; :func:`moved` takes the linearisation there when
+it matters. The smallest p-value over many tests is calibrated with residuals drawn under the fitted model, as in
+:mod:`imr_torch.gap.score`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import torch
+from scipy.stats import chi2
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.gap.linear import Linearisation, linearise
+from imr_torch.gap.score import block
+from imr_torch.observe import ExperimentBatch
+from imr_torch.random import SeedLike, generator
+from imr_torch.simulate import Simulator
+
+BOOTSTRAP = 2000
+"""Residuals drawn under the fitted model for a calibration."""
+
+
+def kept_rows(line: Linearisation, frames: Tensor) -> Tensor:
+    """Which whitened rows (``N`` boolean tensor) belong to frames (``E x T`` boolean tensor); those of priors always do."""
+    rows = (frames & line.batch.mask).flatten()
+    return torch.nn.functional.pad(rows, (0, line.residual.shape[0] - rows.shape[0]), value=True)
+
+
+def restrict(line: Linearisation, frames: Tensor) -> Linearisation:
+    """The same neighbourhood with the rows of all other frames set to zero.
+
+    Args:
+        line: a fit's neighbourhood.
+        frames: ``E x T`` boolean tensor, frames that stay. With correlated noise a frame stands for what it adds to the
+            frames before it.
+    """
+    keep = kept_rows(line, frames).to(line.residual)
+    return replace(line, residual=line.residual * keep, fitted=line.fitted * keep[:, None])
+
+
+def refit(line: Linearisation) -> tuple[Tensor, Tensor]:
+    """The linear refit to the rows of a neighbourhood.
+
+    Returns:
+        ``k`` tensor, the shift of everything that was fitted (gel controls, then nuisances), and the ``k x N`` matrix that
+        makes it from a residual; its product with its transpose is the shift's covariance.
+    """
+    q, r = torch.linalg.qr(line.fitted)
+    to_shift = torch.linalg.solve_triangular(r, q.mT, upper=True)
+    return to_shift @ line.residual, to_shift
+
+
+def moved(fit: ModelFit, line: Linearisation, shift: Tensor, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
+    """The neighbourhood of the point that a linear refit leads to.
+
+    Args:
+        fit: the fit that ``line`` is of.
+        line: its neighbourhood, for when the new point cannot be simulated.
+        shift: ``k`` tensor from :func:`refit`.
+        batch: the data.
+        simulator: makes the bubbles.
+    """
+    columns = (batch.nuisance_sds > 0.0).any(0)
+    size = len(fit.mean)
+    nuisances = fit.nuisances.clone()
+    nuisances[:, columns] += shift[size:].reshape(int(columns.sum()), len(nuisances)).mT
+    new = linearise(replace(fit, mean=fit.mean + shift[:size], nuisances=nuisances), batch, simulator)
+    return new if bool(torch.isfinite(new.fitted).all() & torch.isfinite(new.residual).all()) else line
+
+
+def draw_residuals(line: Linearisation, *, seed: SeedLike, count: int = BOOTSTRAP) -> Tensor:
+    """``count x N`` residuals under the fitted model, before anything is refitted."""
+    return torch.randn(count, line.residual.shape[0], generator=generator(seed), dtype=torch.float64)
+
+
+def log_p(part: Linearisation, frames: Tensor, directions: Mapping[str, Tensor], drawn: Tensor) -> tuple[Tensor, Tensor]:
+    """Log p-values of what a refit to some frames leaves, in several directions and in all (chi-square).
+
+    Args:
+        part: a neighbourhood restricted to ``frames``.
+        frames: ``E x T`` boolean tensor.
+        directions: name -> whitened rows ``k x N``, tested together.
+        drawn: ``B x N`` tensor from :func:`draw_residuals`.
+
+    Returns:
+        ``n`` tensor of the data's log p-values and ``n x B`` tensor of those drawn; tests without a direction are left out.
+    """
+    keep = kept_rows(part, frames).to(part.residual)
+    blocks = [block(name, rows * keep, part).directions for name, rows in directions.items()]
+    rows = part.project(torch.cat((part.residual[None], drawn * keep)))
+    freedom = int(keep.sum()) - part.fitted.shape[1]
+    tests = [((rows @ u).square().sum(1), u.shape[1]) for u in blocks if u.shape[1]]
+    if freedom > 0:
+        tests.append((rows.square().sum(1), freedom))
+    if not tests:
+        return torch.zeros(0, dtype=torch.float64), torch.zeros(0, len(drawn), dtype=torch.float64)
+    logs = torch.stack([torch.as_tensor(chi2.logsf(statistic.numpy(), k)) for statistic, k in tests])
+    return logs[:, 0], logs[:, 1:]
+
+
+def calibrate(observed: Sequence[Tensor], drawn: Sequence[Tensor]) -> Tensor:
+    """P-values of groups of tests, each against the smallest p-value of all tests of all groups.
+
+    Args:
+        observed: per group, ``n`` tensor of log p-values.
+        drawn: per group, ``n x B`` tensor of those under the fitted model.
+
+    Returns:
+        One p-value a group, controlled for all tests together; beyond the reach of the draws it is Bonferroni's bound.
+    """
+    smallest = torch.cat(list(drawn)).amin(0)
+    tests = sum(len(group) for group in observed)
+    values = []
+    for group in observed:
+        log = group.amin() if len(group) else torch.zeros((), dtype=torch.float64)
+        count = int((smallest <= log).sum())
+        bound = min(1.0, tests * float(log.exp()))
+        values.append((1 + count) / (1 + len(smallest)) if count else min(bound, 1.0 / (1 + len(smallest))))
+    return torch.tensor(values, dtype=torch.float64)

@@ -1,0 +1,388 @@
+"""How far the gap shrinks once an effect is added: everything fitted on some designs, judged on others.
+
+In sample almost any effect closes most of a gap, so each design is predicted from fits that did not see it. With the mean
+curve ``y`` of ``n`` repeats, single-shot noise ``sigma`` and held-out prediction ``f``,
+
+    D = mean((y - f)^2 / sigma^2) - 1/n,        S = 1 - D_effect / D_base,
+
+so that ``D`` is a squared bias without noise and ``S`` the part of it that is gone. Beside it stand the best rival's ``S`` and
+the difference in held-out log predictive density (Vehtari, Gelman & Gabry, Stat. Comput. 27, 2017, for its standard error).
+"""
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from scipy.stats import chi2
+from torch import Tensor
+
+from imr_torch.assimilate import EnsembleOptions, ModelFit, assimilate
+from imr_torch.errors import ConvergenceWarning, InputDataError
+from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
+from imr_torch.gap.linear import linearise
+from imr_torch.material import Belief
+from imr_torch.observe import ExperimentBatch
+from imr_torch.random import child, generator
+from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
+
+_ALONE = 5  # up to as many designs each is held out alone; of more, a quarter at a time
+_FOLDS = 4
+_BOOTSTRAP = 2000
+_APART = 0.1  # prior standard deviations between the starts of a training fit
+_STEPS = 2  # Gauss-Newton steps for the nuisances of a held-out design
+_ADEQUATE = 0.01
+_OPTIONS = EnsembleOptions(starts=2, iterations=25, gradient=5e-3)
+_NONE = "none"
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A design as predicted by a fit that did not see it; whitened, so that the mean of the repeats has unit noise.
+
+    Args:
+        residual: ``n_t`` tensor, data less prediction at the fitted gel.
+        by_nuisance: ``n_t x c`` tensor, change of the prediction by each nuisance of the design.
+        log_density: ``n_t`` tensor, log predictive density of each frame of the mean curve given those before it, nats.
+        square: sum of the squared predictive residuals; chi-square with as many degrees of freedom as frames.
+        repeats: curves behind the mean.
+        converged: whether the training fit did.
+    """
+
+    residual: Tensor
+    by_nuisance: Tensor
+    log_density: Tensor
+    square: float
+    repeats: float
+    converged: bool
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Held-out log predictive density of the effect less that of another hypothesis.
+
+    Args:
+        against: the other hypothesis.
+        difference: nats; positive if the effect predicts better.
+        standard_error: from the scatter over frames, each given those before it.
+    """
+
+    against: str
+    difference: float
+    standard_error: float
+
+    @property
+    def won(self) -> bool:
+        """Whether the effect wins by two standard errors."""
+        return self.difference > 2.0 * self.standard_error
+
+
+@dataclass(frozen=True)
+class Shift:
+    """How far a parameter of the base moves when the effect is added.
+
+    Args:
+        relative: change over the base's value.
+        sd: of that change (Hausman: the effect's variance less the base's).
+    """
+
+    relative: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class Shrinkage:
+    """How far the gap shrinks on held-out designs.
+
+    Args:
+        gap: hypothesis -> held-out ``D``, squared bias in single-shot variances.
+        shrinkage: hypothesis (effect, then rival) -> lower, median and upper value of ``S``, 90 % interval.
+        comparisons: the effect against the base and the rival.
+        shift: parameter of the base -> how far it moves.
+        adequacy_p: p-value of the held-out curves under the effect's prediction.
+        converged: whether every training fit did.
+        effect: name of the effect's hypothesis.
+        rival: name of the rival's, if there is one.
+    """
+
+    gap: dict[str, float]
+    shrinkage: dict[str, tuple[float, float, float]]
+    comparisons: tuple[Comparison, ...]
+    shift: dict[str, Shift]
+    adequacy_p: float
+    converged: bool
+    effect: str
+    rival: str | None
+
+    def word(self, adequacy_in_sample: float) -> str:
+        """``"closed"``, ``"partly closed"`` or ``"not closed"``.
+
+        Closed needs more than half of the gap gone for sure, adequacy in and out of sample, and a win over every other
+        hypothesis by two standard errors. A rival of the effect's own class is none: leave it out.
+
+        Args:
+            adequacy_in_sample: p-value of the gap test at the effect's own fit.
+        """
+        low, median, _ = self.shrinkage[self.effect]
+        adequate = min(adequacy_in_sample, self.adequacy_p) >= _ADEQUATE
+        if low > 0.5 and adequate and all(c.won for c in self.comparisons):
+            return "closed"
+        return "partly closed" if median > 0.0 else "not closed"
+
+
+def shrinkage(
+    effect: Hypothesis,
+    rival: Hypothesis | None,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+    near: Mapping[str, ModelFit] | None = None,
+    progress: Progress | None = None,
+) -> Shrinkage:
+    """Judge an effect, its base and a rival on designs that their fits did not see.
+
+    Up to five designs are held out one by one; of more, a quarter at a time, so that each is held out once. Searches start at
+    the fits to all designs, and end where the training designs alone want them.
+
+    Args:
+        effect: the base model with the effect (or effects) to judge.
+        rival: the best hypothesis of another class; none to leave it out.
+        batch: all the data.
+        simulator: makes the bubbles.
+        seed: of starts and bootstrap.
+        near: name of a hypothesis (and ``"none"``) -> fit to all designs; what is missing is fitted first.
+        progress: called with one line per step.
+
+    Raises:
+        InputDataError: with fewer than two designs, for a hypothesis without an effect, or two of one name.
+    """
+    base = Hypothesis(effect.base)
+    hypotheses = [base, effect, *([rival] if rival else [])]
+    _check(hypotheses, batch)
+    fits = _near(hypotheses, near or {}, batch, simulator, seed, progress)
+    return _judge(effect, rival, fits, _hold_out(fits, batch, simulator, seed, progress), seed)
+
+
+def shrinkage_unseen(
+    effect: Hypothesis,
+    rival: Hypothesis | None,
+    fits: Mapping[str, ModelFit],
+    unseen: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+) -> Shrinkage:
+    """Judge an effect, its base and a rival on designs that were held out before anything was fitted.
+
+    Args:
+        effect: the base model with the effect (or effects) to judge.
+        rival: the best hypothesis of another class; none to leave it out.
+        fits: name of each hypothesis (and ``"none"``) -> fit to the other designs.
+        unseen: the designs that no fit saw.
+        simulator: makes the bubbles.
+        seed: of the bootstrap.
+    """
+    names = [_NONE, effect.name, *([rival.name] if rival else [])]
+    designs = range(len(unseen.experiments))
+    held = {name: [held_out(fits[name], _part(unseen, [i]), simulator) for i in designs] for name in names}
+    return _judge(effect, rival, fits, held, seed)
+
+
+def _judge(
+    effect: Hypothesis,
+    rival: Hypothesis | None,
+    fits: Mapping[str, ModelFit],
+    held: Mapping[str, Sequence[HeldOut]],
+    seed: int,
+) -> Shrinkage:
+    """Compare held-out predictions of the base, the effect and the rival."""
+    gaps, intervals = _bootstrap(held, seed)
+    comparisons = tuple(_compare(held, effect.name, name) for name in held if name != effect.name)
+    frames = sum(len(d.residual) for d in held[effect.name])
+    return Shrinkage(
+        gap=gaps,
+        shrinkage=intervals,
+        comparisons=comparisons,
+        shift=_shift(fits[_NONE], fits[effect.name]),
+        adequacy_p=float(chi2.sf(sum(d.square for d in held[effect.name]), frames)),
+        converged=all(d.converged for designs in held.values() for d in designs),
+        effect=effect.name,
+        rival=rival.name if rival else None,
+    )
+
+
+def _check(hypotheses: Sequence[Hypothesis], batch: ExperimentBatch) -> None:
+    if len(batch.experiments) < 2:
+        raise InputDataError(
+            f"Shrinkage is judged on held-out designs, and there is {len(batch.experiments)}; give at least two designs."
+        )
+    names = [h.name for h in hypotheses]
+    if len(set(names)) != len(names):
+        raise InputDataError(
+            f"Base, effect and rival must be three hypotheses, got {names}; name an effect, and another rival."
+        )
+
+
+def _near(
+    hypotheses: Sequence[Hypothesis],
+    near: Mapping[str, ModelFit],
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    seed: int,
+    progress: Progress | None,
+) -> dict[str, ModelFit]:
+    """Fits to all designs, those that are given and those that are not."""
+    null = near.get(_NONE) or fit_null(hypotheses[0].base, batch, simulator, seed=child(seed, "null"), progress=progress)
+    fits = {_NONE: null}
+    for hypothesis in hypotheses[1:]:
+        if hypothesis.name in near:
+            fits[hypothesis.name] = near[hypothesis.name]
+            continue
+        fit = null
+        for count in range(1, len(hypothesis.effects) + 1):  # one effect after the other
+            part = replace(hypothesis, effects=hypothesis.effects[:count])
+            fit = fit_hypotheses([part], fit, batch, simulator, seed=child(seed, part.name), progress=progress)[part.name]
+        fits[hypothesis.name] = fit
+    return fits
+
+
+def folds(count: int) -> list[list[int]]:
+    """Which of ``count`` designs are held out together: each alone up to five, else in four parts."""
+    if count <= _ALONE:
+        return [[i] for i in range(count)]
+    return [list(range(start, count, _FOLDS)) for start in range(_FOLDS)]
+
+
+def _hold_out(
+    fits: Mapping[str, ModelFit], batch: ExperimentBatch, simulator: Simulator, seed: int, progress: Progress | None
+) -> dict[str, list[HeldOut]]:
+    """Held-out predictions of every design by every hypothesis, in the order of the designs."""
+    parts: dict[str, dict[int, HeldOut]] = {name: {} for name in fits}
+    groups = folds(len(batch.experiments))
+    for number, out in enumerate(groups):
+        if progress:
+            progress(
+                f"shrinkage: fits without {', '.join(batch.experiments[i].label for i in out)} ({number + 1}/{len(groups)})"
+            )
+        training = _part(batch, [i for i in range(len(batch.experiments)) if i not in out])
+        for name, fit in _train(fits, training, simulator, child(seed, "fold", number)).items():
+            for i in out:
+                parts[name][i] = held_out(fit, _part(batch, [i]), simulator)
+    return {name: [found[i] for i in sorted(found)] for name, found in parts.items()}
+
+
+def _part(batch: ExperimentBatch, chosen: Sequence[int]) -> ExperimentBatch:
+    return ExperimentBatch(tuple(batch.experiments[i] for i in chosen), batch.noise)
+
+
+def _train(fits: Mapping[str, ModelFit], batch: ExperimentBatch, simulator: Simulator, seed: int) -> dict[str, ModelFit]:
+    """Fits of all hypotheses to the training designs, in one batch, each from two starts near its fit to all designs."""
+    source = generator(seed)
+    starts = []
+    for fit in fits.values():
+        other = fit.mean + _APART * torch.randn(fit.mean.shape, generator=source, dtype=torch.float64)
+        starts.append(torch.stack((fit.mean, other)))
+    belief = Belief(tuple(fit.prior for fit in fits.values()), torch.zeros(len(fits), dtype=torch.float64))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # it is in the result
+        found = assimilate(belief, batch, simulator, seed=seed, options=_OPTIONS, starts=starts)
+    return dict(zip(fits, found.fits, strict=True))
+
+
+def held_out(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> HeldOut:
+    """Predict a design that a fit did not see; its nuisances are fitted with the gel held, by their priors.
+
+    Args:
+        fit: the training fit.
+        batch: the held-out design, alone.
+        simulator: makes the bubbles.
+
+    Returns:
+        Residuals at the fitted gel, and the predictive density with gel and nuisances integrated out (linearised).
+    """
+    size, columns = len(fit.mean), (batch.nuisance_sds > 0.0).any(0)
+    nuisances = torch.zeros(1, 3, dtype=torch.float64)
+    line = linearise(replace(fit, nuisances=nuisances), batch, simulator)
+    for _ in range(_STEPS if bool(columns.any()) else 0):
+        own = line.fitted[:, size:]
+        nuisances = nuisances.clone()
+        nuisances[:, columns] += torch.linalg.lstsq(own, line.residual[:, None]).solution.mT
+        line = linearise(replace(fit, nuisances=nuisances), batch, simulator)
+    data = batch.mask.numel()
+    residual, slopes = line.residual[:data], line.fitted[:data]
+    # the predictive mean is at the fitted gel and the prior mean of the nuisances
+    centred = residual + slopes[:, size:] @ nuisances[0, columns]
+    spread = torch.cat((slopes[:, :size] @ fit.chol, slopes[:, size:]), 1)
+    chol = torch.linalg.cholesky(torch.eye(data, dtype=torch.float64) + spread @ spread.mT)
+    innovation = torch.linalg.solve_triangular(chol, centred[:, None], upper=False)[:, 0]
+    repeats = float(batch.repeats)
+    log_scale = chol.diagonal().log() + line.sd[0].log() - 0.5 * math.log(repeats / (2.0 * math.pi))
+    density = -0.5 * innovation.square() - log_scale
+    square, sound = float(innovation.square().sum()), fit.certificate.converged
+    return HeldOut(residual, slopes[:, size:], density, square, repeats, sound)
+
+
+def _bootstrap(
+    held: Mapping[str, Sequence[HeldOut]], seed: int
+) -> tuple[dict[str, float], dict[str, tuple[float, float, float]]]:
+    """``D`` of each hypothesis, and the 90 % interval of ``S`` of all but the base.
+
+    The bias found, scaled to the size that is left of it without noise, is taken as true; noise is drawn anew, the same for
+    every hypothesis, and passed through the fit of the nuisances.
+    """
+    source = generator(child(seed, "bootstrap"))
+    noise = [torch.randn(_BOOTSTRAP, len(d.residual), generator=source, dtype=torch.float64) for d in held[_NONE]]
+    gaps, drawn = {}, {}
+    for name, designs in held.items():
+        count = sum(len(d.residual) for d in designs)
+        expected = sum(_freedom(d) / d.repeats for d in designs) / count
+        observed = sum(float(d.residual.square().sum()) / d.repeats for d in designs) / count
+        gaps[name] = observed - expected
+        scale = math.sqrt(max(gaps[name], 0.0) / observed)
+        rows = [
+            (scale * d.residual + _less_nuisances(d, e)).square().sum(1) / d.repeats
+            for d, e in zip(designs, noise, strict=True)
+        ]
+        drawn[name] = torch.stack(rows).sum(0) / count - expected
+    levels = torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64)
+    intervals = {}
+    for name in held:
+        if name != _NONE:
+            low, median, high = (1.0 - drawn[name] / drawn[_NONE].clamp_min(1e-12)).quantile(levels).tolist()
+            intervals[name] = (low, median, high)
+    return gaps, intervals
+
+
+def _less_nuisances(design: HeldOut, rows: Tensor) -> Tensor:
+    """What a fit of the nuisances with their priors leaves of rows ``B x n_t``."""
+    slopes = design.by_nuisance
+    precision = torch.eye(slopes.shape[1], dtype=torch.float64) + slopes.mT @ slopes
+    return rows - torch.linalg.solve(precision, slopes.mT @ rows.mT).mT @ slopes.mT
+
+
+def _freedom(design: HeldOut) -> float:
+    """Expected square of what the fit of the nuisances leaves of unit noise."""
+    return float(_less_nuisances(design, torch.eye(len(design.residual), dtype=torch.float64)).square().sum())
+
+
+def _compare(held: Mapping[str, Sequence[HeldOut]], effect: str, other: str) -> Comparison:
+    """Paired difference over all held-out frames."""
+    pairs = zip(held[effect], held[other], strict=True)
+    difference = torch.cat([a.log_density - b.log_density for a, b in pairs])
+    return Comparison(other, float(difference.sum()), float(difference.std() * math.sqrt(len(difference))))
+
+
+def _shift(base: ModelFit, effect: ModelFit) -> dict[str, Shift]:
+    """Relative change of each parameter of the base, with the sd of an efficient against a consistent estimate."""
+    before, after = base.posterior, effect.posterior
+    shifts = {}
+    for i, name in enumerate(base.prior.names):
+        j = effect.prior.names.index(name)
+        value = float(before.physical(before.mean)[i])
+        change = float(after.physical(after.mean)[j]) - value
+        variance = float(after.sds[j].square() - before.sds[i].square())
+        shifts[name] = Shift(change / value, math.sqrt(max(variance, 0.0)) / abs(value))
+    return shifts

@@ -1,0 +1,129 @@
+"""Apparent parameters over the event: each fitted to the frames of a moving window only.
+
+If constant parameters are right, windows agree within their uncertainty; if anything is amiss they drift. That is how Chu et
+al. (2026, arXiv 2606.13584) follow gels through a collapse, with an iterative ensemble Kalman smoother and multiple data
+assimilation; here each window is a Gauss-Newton fit from the common fit, every bubble still starting at its maximum at t* = 0.
+It says that constants fail and when; it names no cause, since any unmodelled effect makes parameters drift. A view beside the
+others and a baseline, not a verdict.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from scipy.stats import chi2
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.errors import InputDataError
+from imr_torch.gap.linear import Linearisation
+from imr_torch.gap.locate import frames_between
+from imr_torch.gap.restrict import moved, refit, restrict
+from imr_torch.observe import ExperimentBatch
+from imr_torch.simulate import Simulator
+
+_STEPS = 2
+_LONGEST = 2.0  # prior standard deviations that a window may move at once
+
+
+@dataclass(frozen=True)
+class MovingWindows:
+    """Apparent parameters over the event.
+
+    Args:
+        centres: ``W`` tensor, dimensionless.
+        names: fitted parameters.
+        values: ``W x d`` tensor, SI.
+        low: ``W x d`` tensor, one standard deviation below.
+        high: ``W x d`` tensor, one above.
+        drift: ``d`` tensor, slope of each parameter over the event in its standard deviations (z).
+        p_constant: ``d`` tensor, p-value of a constant parameter.
+    """
+
+    centres: Tensor
+    names: tuple[str, ...]
+    values: Tensor
+    low: Tensor
+    high: Tensor
+    drift: Tensor
+    p_constant: Tensor
+
+
+def moving_windows(
+    fit: ModelFit,
+    line: Linearisation,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    width: float = 1.0,
+    windows: int = 7,
+    steps: int = _STEPS,
+) -> MovingWindows:
+    """Fit the parameters to each of several overlapping windows, all experiments together, nuisances free.
+
+    Args:
+        fit: the fit to all frames, from which each window starts.
+        line: its neighbourhood.
+        batch: the data.
+        simulator: makes the bubbles.
+        width: of a window, in Rmax/U_c; about a first collapse by default.
+        windows: how many, evenly over the records.
+        steps: Gauss-Newton steps of each; the first needs no bubbles.
+
+    Raises:
+        InputDataError: if windows do not fit into the records, or one holds no frame.
+    """
+    end = float(batch.times[batch.mask].max())
+    if windows < 2 or steps < 1 or not 0.0 < width < end:
+        raise InputDataError(
+            f"Expected 2 windows or more, 1 step or more and 0 < width < {end:g}; got {windows} windows, {steps} steps, width {width}."
+        )
+    starts = torch.linspace(0.0, end - width, windows, dtype=torch.float64)
+    centres, maps = [], []
+    for start in starts.tolist():
+        frames = frames_between(batch, start, start + width + 1e-9)
+        centre, to_shift = _window(fit, line, frames, batch, simulator, steps)
+        centres.append(centre)
+        maps.append(to_shift)
+    controls = torch.stack(centres)
+    sd = torch.stack([m.norm(dim=1) for m in maps])
+    values, low, high = (_physical(fit, controls + step * sd) for step in (0.0, -1.0, 1.0))
+    drift, p_constant = _constancy(starts, controls, torch.stack(maps))
+    return MovingWindows(starts + 0.5 * width, fit.prior.names, values, low, high, drift, p_constant)
+
+
+def _window(
+    fit: ModelFit, line: Linearisation, frames: Tensor, batch: ExperimentBatch, simulator: Simulator, steps: int
+) -> tuple[Tensor, Tensor]:
+    """Controls of one window (``d``) and the ``d x N`` matrix that makes them from noise."""
+    size, total, here = len(fit.mean), torch.zeros(line.fitted.shape[1], dtype=torch.float64), line
+    for step in range(steps):
+        shift, to_shift = refit(restrict(here, frames))
+        total = total + shift * min(1.0, _LONGEST / max(float(shift.norm()), 1e-300))
+        if step < steps - 1:
+            here = moved(fit, line, total, batch, simulator)
+            if here is line:  # that point cannot be simulated
+                break
+    return fit.mean + total[:size], to_shift[:size]  # type: ignore[possibly-unbound]  # steps >= 1
+
+
+def _physical(fit: ModelFit, controls: Tensor) -> Tensor:
+    return fit.prior.physical(fit.prior.mean + controls @ fit.prior.chol.mT)
+
+
+def _constancy(centres: Tensor, controls: Tensor, maps: Tensor) -> tuple[Tensor, Tensor]:
+    """Slope over its standard deviation and p-value of constancy of each parameter; windows that share frames are correlated."""
+    count, size = controls.shape
+    basis = torch.stack((torch.ones(count, dtype=torch.float64), centres - centres.mean()), 1)
+    drift, p_values = [], []
+    for i in range(size):
+        covariance = maps[:, i] @ maps[:, i].mT
+        covariance = covariance + 1e-9 * covariance.diagonal().mean() * torch.eye(count, dtype=torch.float64)
+        chol = torch.linalg.cholesky(covariance)
+        design = torch.linalg.solve_triangular(chol, basis, upper=False)
+        data = torch.linalg.solve_triangular(chol, controls[:, i : i + 1], upper=False)
+        inverse = torch.linalg.inv(design.mT @ design)
+        drift.append(float((inverse @ design.mT @ data)[1, 0] / inverse[1, 1].sqrt()))
+        constant = torch.linalg.qr(design[:, :1]).Q
+        square = float((data - constant @ (constant.mT @ data)).square().sum())
+        p_values.append(float(chi2.sf(square, count - 1)))
+    return torch.tensor(drift, dtype=torch.float64), torch.tensor(p_values, dtype=torch.float64)

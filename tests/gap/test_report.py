@@ -1,0 +1,231 @@
+"""A diagnosis in words, as JSON and as a page: every part that was run is there, and what was not is said."""
+
+import base64
+import io
+import math
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pytest
+import torch
+from matplotlib.axes import Axes
+from matplotlib.image import imread
+
+from imr_torch.gap import GapReport, Parts, describe, diagnose, examine, library, plots, to_json, write_page
+from imr_torch.gap.report import repeats_needed, sections
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import SimulatedLaboratory
+from imr_torch.simulate import PolytropicSimulator
+
+FOUND = ("gap", "p_gap", "bias_sigma", "verdict", "cause", "converged", "seconds")
+PARTS = ("onset_t", "onset_phase", "shrinkage", "best_rival", "next_design")
+CAUSES = ("posterior", "credible_set", "adequacy_p", "parameter_shift")
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+@pytest.fixture(scope="module")
+def found() -> tuple[GapReport, Parts]:
+    """A gel in a liquid whose speed of sound differs, diagnosed with three effects to choose from."""
+    simulator = PolytropicSimulator()
+    times = torch.linspace(0.0, 2.6, 53, dtype=torch.float64)
+    gel = PARAMETERS.pack({"G": 8e3, "mu": 0.08, "sound_speed": 0.5})
+    laboratory = SimulatedLaboratory(simulator, gel, repeats=10, times=times)
+    designs = torch.tensor([[200.0, 0.2], [600.0, 0.17]], dtype=torch.float64)
+    experiments = [laboratory.shoot(design, seed=i) for i, design in enumerate(designs)]
+    report = diagnose(experiments, effects=library(("sound_speed", "rinf_bias", "refraction")), simulator=simulator)
+    return report, examine(report, simulator)
+
+
+@pytest.fixture(scope="module")
+def page(found, tmp_path_factory) -> Path:
+    report, parts = found
+    return write_page(report, tmp_path_factory.mktemp("page") / "page.html", parts, title="A < B")
+
+
+def test_that_json_has_the_agreed_keys_and_what_was_found(found):
+    report, parts = found
+    document = to_json(report, parts)
+    assert set(document) == {*FOUND, *PARTS, *CAUSES}
+    assert document["gap"] is True
+    assert document["verdict"] == "effect"
+    assert document["cause"] == ["sound_speed"]
+    assert document["onset_phase"] in ("first collapse", "first rebound")
+    assert sum(document["posterior"].values()) == pytest.approx(1.0)
+    assert {"none", "other"} <= set(document["posterior"])
+    low, median, high = document["shrinkage"]["sound_speed"]
+    assert 0.8 < low <= median <= high
+    assert document["best_rival"] in document["shrinkage"]
+    shift = document["parameter_shift"]["mu"]
+    assert shift["base"][1] < 0.07 < shift["with_cause"][0] < 0.08 < shift["with_cause"][2]
+
+
+def test_that_parts_that_were_not_run_are_null_and_said_to_be_missing(found):
+    report, _ = found
+    assert {key for key, value in to_json(report).items() if value is None} == set(PARTS)
+    document = to_json(replace(report, attribution=None, verdict="none", cause=()))
+    assert set(document) == {*FOUND, *PARTS, *CAUSES}
+    assert {key for key, value in document.items() if value is None} == {*PARTS, *CAUSES}
+    assert "no shrinkage on held-out designs was computed" in describe(report)
+
+
+def test_that_the_words_name_the_cause_the_onset_the_rival_and_the_shift(found):
+    report, parts = found
+    text = describe(report, parts)
+    assert "its cause is sound_speed (the speed of sound differs)" in text
+    assert str(parts.onset) in text
+    assert f"{parts.shrinkage.rival} (the best rival) removes" in text
+    assert re.search(r"mu \(Pa s\): 0\.0[456]\d* becomes 0\.0[78]\d*", text)
+
+
+def test_that_no_family_is_named_for_other(found):
+    report, _ = found
+    text = describe(replace(report, verdict="other", cause=()))
+    assert "no effect of the library that was offered explains it" in text
+    assert "What kind of effect it is" in text
+    assert "do not quote them" in text
+
+
+def test_that_nothing_is_said_on_a_fit_that_did_not_converge(found):
+    report, _ = found
+    loose = replace(report.null, certificate=replace(report.null.certificate, converged=False))
+    undecided = replace(report, null=loose, attribution=None, verdict="undecided", cause=(), reason="Loose.")
+    assert "an unconverged fit looks exactly like a gap" in describe(undecided)
+    assert to_json(undecided)["gap"] is False
+    assert examine(undecided, PolytropicSimulator()) == Parts()
+
+
+def test_that_a_hidden_effect_comes_with_the_repeats_it_would_take(found):
+    report, _ = found
+    blocks = tuple(replace(b, power=0.3) if b.name == "refraction" else b for b in report.gap.blocks)
+    text = describe(replace(report, gap=replace(report.gap, blocks=blocks)))
+    assert re.search(r"refraction \(power 0\.30; about \d+ x the repeats would show it\)", text)
+
+
+def test_that_repeats_needed_follow_the_normal_approximation_of_a_two_sided_test():
+    def z(p: float) -> float:
+        return -float(torch.special.ndtri(torch.tensor(p, dtype=torch.float64)))
+
+    expected = ((z(0.001) + z(1.0 - 0.8)) / (z(0.001) + z(1.0 - 0.4))) ** 2
+    assert repeats_needed(0.4, 1, 20) == pytest.approx(expected, rel=1e-3)
+    assert repeats_needed(0.8, 3, 20) == pytest.approx(1.0)
+
+
+def test_that_the_phase_map_shows_a_residual_where_it_is(found):
+    report, _ = found
+    fit, batch = report.null, report.batch
+    noise = batch.sd(batch.mean) / batch.repeats.sqrt()[:, None]
+    moved = batch.mean.clone()
+    moved[1] -= 3.0 * noise[1]
+    values = plots.phase_rms(replace(fit, prediction=moved), batch)
+    assert torch.allclose(values[0].nan_to_num(), torch.zeros(5, dtype=torch.float64))
+    assert torch.allclose(values[1], torch.full_like(values[1], 3.0), rtol=0.15)  # sd is taken at the prediction
+
+
+def test_that_every_plot_draws_into_the_axes_it_is_given(found):
+    report, parts = found
+    fit, batch, after = report.null, report.batch, report.attribution.fits["sound_speed"]
+    draws = (
+        lambda ax: plots.plot_phase_residual(fit, batch, ax=ax),
+        lambda ax: plots.plot_scores(report.gap, ax=ax),
+        lambda ax: plots.plot_onset(parts.onset, ax=ax),
+        lambda ax: plots.plot_latent_pressure(parts.latent, ax=ax),
+        lambda ax: plots.plot_window_parameter(parts.windows, "G", ax=ax),
+        lambda ax: plots.plot_causes(report.attribution.posterior, ax=ax),
+        lambda ax: plots.plot_curves(batch, 0, fit.prediction, after.prediction, ax=ax),
+        lambda ax: plots.plot_residuals(batch, 0, fit.prediction, after.prediction, ax=ax),
+        lambda ax: plots.plot_shrinkage(parts.shrinkage, ax=ax),
+        lambda ax: plots.plot_shift(fit, after, ax=ax),
+    )
+    for draw in draws:
+        ax: Axes = plt.subplots()[1]
+        assert draw(ax) is ax
+        assert ax.has_data()
+        plt.close(ax.figure)
+
+
+class _Reader(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.images, self.headings, self.links, self.open = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        self.links += [attributes[key] for key in ("src", "href") if key in attributes]
+        if tag == "img":
+            self.images.append(attributes)
+        if re.fullmatch(r"h\d", tag):
+            self.headings.append(tag)
+        if tag not in ("img", "meta", "link"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def read(page: Path) -> _Reader:
+    reader = _Reader()
+    reader.feed(page.read_text())
+    assert reader.open == []
+    return reader
+
+
+def test_that_the_page_is_one_file_with_every_figure_decodable_and_described(page):
+    reader = read(page)
+    assert all(link.startswith("data:") for link in reader.links)
+    assert len(reader.images) == 9
+    for image in reader.images:
+        pixels = imread(io.BytesIO(base64.b64decode(image["src"].removeprefix("data:image/png;base64,"))))
+        assert min(pixels.shape[:2]) > 100
+        assert len(image["alt"]) > 20
+
+
+def test_that_the_page_has_the_sections_of_the_words_in_order(found, page):
+    report, parts = found
+    text = page.read_text()
+    assert read(page).headings == ["h1"] + ["h2"] * len(sections(report, parts))
+    places = [text.index(f"<h2>{section.heading}</h2>") for section in sections(report, parts)]
+    assert places == sorted(places)
+    assert "<h1>A &lt; B</h1>" in text
+
+
+def test_that_a_page_without_parts_has_the_figures_of_the_diagnosis_alone(found, tmp_path):
+    report, _ = found
+    silent = replace(report, attribution=None, verdict="none", cause=())
+    assert len(read(write_page(silent, tmp_path / "page.html")).images) == 3
+
+
+def test_that_figures_do_not_stay_open(found, tmp_path):
+    before = plt.get_fignums()
+    write_page(found[0], tmp_path / "page.html", found[1])
+    assert plt.get_fignums() == before
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here to open the page in")
+def test_that_a_browser_draws_every_figure_without_a_complaint(page, tmp_path):
+    probe = (
+        "<script>addEventListener('load', () => {for (const i of document.images) i.dataset.width = i.naturalWidth})</script>"
+    )
+    copy = tmp_path / "probe.html"
+    copy.write_text(page.read_text().replace("</body>", f"{probe}</body>"))
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--enable-logging=stderr",
+        f"--user-data-dir={tmp_path / 'profile'}",
+    ]
+    done = subprocess.run([BROWSER, *options, "--dump-dom", copy.as_uri()], capture_output=True, text=True, timeout=120)
+    widths = re.findall(r'data-width="(\d+)"', done.stdout)
+    assert len(widths) == 9
+    assert all(int(width) > 100 for width in widths)
+    assert "CONSOLE" not in done.stderr
+
+
+def test_that_an_unstarted_nan_power_is_not_printed(found):
+    assert "nan" not in describe(*found)
+    assert any(math.isnan(b.power) for b in found[0].gap.blocks)
