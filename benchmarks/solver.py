@@ -4,8 +4,8 @@
 
 Bubbles are drawn from the prior of the stiff-PA reference case, designs uniformly from We 100-1000 and R_inf* .14-.30, with
 81 samples of t* in [0, 4]. Errors of the polytropic solver are against itself at a third of the step, those of the full
-physics (200 bubbles) against its `reference` setting. Beside them, in the same run, what a
-user would do without this package: torchdiffeq's dopri5 with one step for the batch, and a SciPy LSODA loop.
+physics (200 bubbles) against its `reference` setting. Beside them, in the same run, what a user would do without this
+package: torchdiffeq's dopri5 with one step for the batch, and a loop over bubbles with SciPy.
 """
 
 import argparse
@@ -18,12 +18,19 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.integrate import solve_ivp
 from torchdiffeq import odeint
 
 from imr_torch.files import write_json
 from imr_torch.material import reference_case
-from imr_torch.simulate import ACCURACIES, STEPPINGS, Conditions, PolytropicSimulator, Simulator, TransportSimulator
+from imr_torch.simulate import (
+    ACCURACIES,
+    STEPPINGS,
+    Conditions,
+    PolytropicSimulator,
+    ScipySimulator,
+    Simulator,
+    TransportSimulator,
+)
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.polytropic import head_of, rate_of
 
@@ -74,21 +81,6 @@ def plain_dopri5(count: int) -> Callable[[], Any]:
     return lambda: odeint(rate, start, TIMES, method="dopri5", rtol=1e-5, atol=1e-7)
 
 
-def scipy_loop(count: int) -> Callable[[], Any]:
-    """The same bubbles one by one with SciPy."""
-    parameters, designs = draws(count, "cpu")
-    singles = [Bubbles.of(p[None], d[None], Conditions()) for p, d in zip(parameters, designs, strict=True)]
-
-    def solve(bubble: Bubbles) -> None:
-        def rate(_: float, state: np.ndarray) -> np.ndarray:
-            point = torch.from_numpy(state)[:, None]
-            return rate_of(bubble, head_of(bubble, point), point)[:, 0].numpy()
-
-        solve_ivp(rate, (0.0, 4.0), [1.0, 0.0, 0.0], method="LSODA", t_eval=TIMES.numpy(), rtol=1e-6, atol=1e-8)
-
-    return lambda: [solve(bubble) for bubble in singles]
-
-
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -118,7 +110,11 @@ def main() -> None:
         result["dopri5_48_ms"] = 1e3 * cpu_seconds(plain_dopri5(48), 1) / 48
     except AssertionError as error:  # torchdiffeq's word for a step that shrank to nothing
         print(f"plain dopri5 with one step for 48 bubbles fails: {error}")
-    result["scipy_lsoda_ms"] = 1e3 * cpu_seconds(scipy_loop(10), 1) / 10
+    loop = ScipySimulator(physics="polytropic", method="LSODA")
+    result["scipy_lsoda_ms"] = 1e3 * cpu_seconds(simulate(loop, 10, "cpu"), 1) / 10
+    stiff = ScipySimulator(method="BDF", rtol=1e-5, atol=1e-7)
+    result["scipy_bdf_full_s"] = cpu_seconds(simulate(stiff, 3, "cpu"), 1) / 3
+    result["scipy_bdf_full_max_dr"] = errors(stiff, reference, 3, "cpu")[1]
     result["peak_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(json.dumps(result, indent=1))
     if args.json:

@@ -25,6 +25,7 @@ from imr_torch.characterize import intervals, predictive_band, prepare
 from imr_torch.cli.common import (
     add_physics_argument,
     add_prior_arguments,
+    add_workers_argument,
     parse_pair,
     prior_of,
     progress_of,
@@ -54,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax of told files without a tail")
     add_space_arguments(parser)
     add_physics_argument(parser)
+    add_workers_argument(parser)
     add_prior_arguments(parser)
 
 

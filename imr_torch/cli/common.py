@@ -4,6 +4,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from matplotlib.axes import Axes
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
-from imr_torch.simulate import PolytropicSimulator, Simulator, TransportSimulator
+from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, Simulator, TransportSimulator, process_pool
 from imr_torch.types import Progress
 
 SIMULATORS: dict[str, Callable[[], Simulator]] = {"polytropic": PolytropicSimulator, "transport": TransportSimulator}
@@ -49,9 +50,17 @@ def add_physics_argument(parser: argparse.ArgumentParser, *, default: str = "pol
     )
 
 
+def add_workers_argument(parser: argparse.ArgumentParser) -> None:
+    """The option that spreads large batches over processes; the batches of a fit are too small to gain by it."""
+    parser.add_argument("--workers", type=int, default=1, help="processes that share large batches (default 1)")
+
+
 def simulator_of(args: argparse.Namespace) -> Simulator:
-    """The simulator that ``--physics`` names."""
-    return SIMULATORS[args.physics]()
+    """The simulator that ``--physics`` names, on as many processes as ``--workers`` says."""
+    simulator, workers = SIMULATORS[args.physics](), getattr(args, "workers", 1)
+    if workers < 1:
+        raise InputDataError(f"--workers is {workers}; expected at least 1.")
+    return simulator if workers == 1 else ParallelSimulator(simulator, partial(process_pool, workers))
 
 
 def prior_of(args: argparse.Namespace) -> Belief:

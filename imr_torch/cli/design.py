@@ -11,6 +11,7 @@ from typing import get_args
 from imr_torch.cli.common import (
     add_physics_argument,
     add_prior_arguments,
+    add_workers_argument,
     parse_pair,
     prior_of,
     progress_of,
@@ -44,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--draws", type=int, default=64, help="draws per model of each estimate (default 64)")
     parser.add_argument("--out", metavar="DIR", help="folder for the map and JSON")
     add_physics_argument(parser)
+    add_workers_argument(parser)
     add_prior_arguments(parser)
 
 
