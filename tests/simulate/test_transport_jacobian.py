@@ -1,10 +1,12 @@
 """The structured Jacobian and the step built on it."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from imr_torch.material import PARAMETERS
-from imr_torch.simulate import PRESETS, Conditions, GasMixture, Medium, Resolution
+from imr_torch.simulate import PRESETS, RADIAL_EQUATIONS, Conditions, GasMixture, Medium, Resolution, SineDriving
 from imr_torch.simulate.bordered import Factors, invert
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.linearise import linearise
@@ -16,15 +18,38 @@ CONDITIONS = {
     "cold gel": Conditions(medium=Medium(warm=False)),
     "dry gas": Conditions(mixture=GasMixture(vapour="absent")),
     "constant vapour": Conditions(mixture=GasMixture(vapour="constant")),
+    "frozen vapour": Conditions(mixture=GasMixture(vapour="frozen")),
 }
-PARAMETER_ROWS = PARAMETERS.pack(
-    {
-        "G": torch.tensor([2770.0, 8310.0, 1000.0], dtype=torch.float64),
-        "mu": torch.tensor([0.186, 0.09, 0.02], dtype=torch.float64),
-        "alpha": torch.tensor([0.48, 0.0, 1.0], dtype=torch.float64),
-    }
-)
+
+
+def gels(**columns):
+    """Three gels, from three values of each parameter."""
+    return PARAMETERS.pack({name: torch.tensor(values, dtype=torch.float64) for name, values in columns.items()})
+
+
+PLAIN = {"G": (2770.0, 8310.0, 1000.0), "mu": (0.186, 0.09, 0.02), "alpha": (0.48, 0.0, 1.0)}
+PARAMETER_ROWS = gels(**PLAIN)
 DESIGNS = torch.tensor([[550.0, 0.22], [900.0, 0.14], [120.0, 0.3]], dtype=torch.float64)
+REMEMBERING = {
+    "Zener": {"tau": (2e-5, 0.0, 1e-6), "retardation": (0.2, 0.0, 0.5)},
+    "upper-convected": {"tau_ucm": (2e-5, 3e-6, 1e-6), "retardation": (0.2, 0.0, 0.5)},
+    "standard solids": {"G_lin": (1e3, 0.0, 2e3), "tau_sls": (2e-5, 0.0, 1e-6), "tau_sns": (0.0, 1e-5, 0.0)},
+    "damage, thinning": {"damage": (0.3, 0.0, 1.0), "thinning": (0.5, 0.2, 0.0), "shear_time": (1e-6, 1e-5, 0.0)},
+    "Fung, yield": {"alpha_fung": (0.01, 0.0, 0.02), "alpha_fung2": (0.1, 0.2, 0.0), "yield_stress": (500.0, 0.0, 50.0)},
+    "graded, set": {"graded_modulus": (0.3, 0.0, 1.0), "permanent_set": (0.1, -0.05, 0.0)},
+}
+ACTING = {
+    "mirrored": {"wall": (0.2, -0.1, 0.0)},
+    "leaking": {"gas_loss": (0.3, 0.0, 1.0)},
+    "trapping": {"condensation": (0.5, 0.0, 0.1)},
+    "losing energy": {"energy_loss": (1.0, 0.0, 0.3)},
+    "in other surroundings": {
+        "sound_speed": (0.3, 0.0, -1.0),
+        "heat_exchange": (0.5, 0.0, -0.5),
+        "vapour_pressure": (0.05, 0.0, 0.01),
+    },
+    "in a sound field": {"sound_field": (0.3, 0.0, 0.1), "sound_frequency": (1.0, 0.0, 2.0), "pulse": (0.5, 0.0, -0.4)},
+}
 
 
 def rough_state(equations, vapour=True):
@@ -37,41 +62,84 @@ def rough_state(equations, vapour=True):
 
     state = equations.start()
     state[0], state[1] = torch.tensor([0.5, 0.2, 1.2]), torch.tensor([-3.0, 6.0, 0.5])
+    state[0, 1] = 0.1  # below rest
     state[2] += torch.log(torch.tensor([5.0, 40.0, 2.0]))
     state[3] = torch.tensor([0.1, 0.3, 0.05])
     state[HEAD : HEAD + n] = state[3] + 2.0 * (1.0 - y**2) + 0.1 * noise(n)
     state[HEAD + n : HEAD + 2 * n] = (0.3 + 0.3 * noise(n)) * float(vapour)
-    state[HEAD + 2 * n :] = 0.1 * noise(m)
+    state[HEAD + 2 * n : HEAD + 2 * n + m] = 0.1 * noise(m)
+    state[HEAD + 2 * n + m :] = 0.2 * noise(equations.memory)
     return state
 
 
-def dense_jacobian(equations, state):
-    """The Jacobian of one member by forward differentiation, column by column."""
+def dense_jacobian(equations, state, time):
+    """The Jacobian of one member by forward differentiation: a batch of its copies, each moved along one axis."""
+    count = len(state)
+    copies = equations.take(torch.zeros(count, dtype=torch.long))
 
-    def rate(column):
-        return equations.rate(equations.fields(column[:, None]))[:, 0]
+    def rate(states):
+        return copies.rate(copies.fields(states, time.expand(count)))
 
-    return torch.stack([torch.func.jvp(rate, (state,), (e,))[1] for e in torch.eye(len(state), dtype=torch.float64)], 1)
+    return torch.func.jvp(rate, (state[:, None].repeat(1, count),), (torch.eye(count, dtype=torch.float64),))[1]
 
 
-@pytest.mark.parametrize("resolution", [Resolution(4, 6), Resolution(5, 5)], ids=["unequal", "equal"])
-@pytest.mark.parametrize("conditions", CONDITIONS.values(), ids=CONDITIONS)
-def test_bordered_solve_equals_the_dense_solve_with_the_automatic_jacobian(conditions, resolution):
-    equations = Equations(Bubbles.of(PARAMETER_ROWS, DESIGNS, conditions), *resolution.grids())
-    state = rough_state(equations, vapour=conditions.mixture.vapour == "transported")
-    shift = torch.tensor([1e2, 1e3, 1e1], dtype=torch.float64)
+def assert_bordered_solve_is_dense(equations, vapour=True):
+    """One solve with a rough state, random right-hand side and steps of very different length."""
+    state = rough_state(equations, vapour)
+    shift, time = torch.tensor([[1e2, 1e3, 1e1], [0.3, 0.7, 1.1]], dtype=torch.float64)
     inside, outside = equations.inside.first, equations.outside.first
-    acceleration, jacobian = linearise(equations, equations.fields(state))
-    assert torch.equal(acceleration, equations.rate(equations.fields(state))[1])
+    fields = equations.fields(state, time)
+    acceleration, jacobian = linearise(equations, fields)
+    assert torch.equal(acceleration, equations.rate(fields)[1])
     right = torch.randn(state.shape, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
     solution = Factors(jacobian, shift, inside[1:, 1:], inside[0, 1:], outside[0, 1:]).solve(right)
     mass = torch.ones(len(state), dtype=torch.float64)
     mass[3] = 0.0
     for i in range(3):
         member = equations.take(torch.tensor([i]))
-        matrix = torch.diag(mass * shift[i]) - dense_jacobian(member, state[:, i].clone())
+        matrix = torch.diag(mass * shift[i]) - dense_jacobian(member, state[:, i].clone(), time[i : i + 1])
         dense = torch.linalg.solve(matrix, right[:, i])
         assert float((solution[:, i] - dense).norm() / dense.norm()) < 1e-10
+
+
+@pytest.mark.parametrize("resolution", [Resolution(4, 6), Resolution(5, 5)], ids=["unequal", "equal"])
+@pytest.mark.parametrize("conditions", CONDITIONS.values(), ids=CONDITIONS)
+def test_bordered_solve_equals_the_dense_solve_with_the_automatic_jacobian(conditions, resolution):
+    equations = Equations(Bubbles.of(PARAMETER_ROWS, DESIGNS, conditions), *resolution.grids())
+    assert_bordered_solve_is_dense(equations, conditions.mixture.vapour == "transported")
+
+
+@pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
+@pytest.mark.parametrize("columns", REMEMBERING.values(), ids=REMEMBERING)
+def test_so_it_does_with_every_gel_in_every_radial_equation(columns, motion):
+    conditions = Conditions(motion=motion, driving=SineDriving(5e4, 2e4))
+    equations = Equations(Bubbles.of(gels(**PLAIN | columns), DESIGNS, conditions), *Resolution(4, 4).grids())
+    assert_bordered_solve_is_dense(equations)
+
+
+@pytest.mark.parametrize("key", ["published", "authors_code"])
+@pytest.mark.parametrize("columns", ACTING.values(), ids=ACTING)
+def test_so_it_does_with_every_effect(columns, key):
+    for motion in (RADIAL_EQUATIONS["keller_miksis"], RADIAL_EQUATIONS["gilmore"]):
+        conditions = replace(PRESETS[key], motion=motion)
+        equations = Equations(Bubbles.of(gels(**PLAIN | columns), DESIGNS, conditions), *Resolution(4, 4).grids())
+        assert_bordered_solve_is_dense(equations)
+
+
+@pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
+def test_the_slope_in_time_is_that_of_the_acceleration(motion):
+    """By automatic differentiation, with driving, a sound field and a pulse at once."""
+    columns = PLAIN | ACTING["in a sound field"]
+    conditions = Conditions(motion=motion, driving=SineDriving(5e4, 2e4))
+    equations = Equations(Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(4, 4).grids())
+    state, time = rough_state(equations), torch.tensor([0.3, 0.7, 1.1], dtype=torch.float64)
+    _, jacobian = linearise(equations, equations.fields(state, time))
+
+    def acceleration(time):
+        return equations.rate(equations.fields(state, time))[1]
+
+    expected = torch.func.jvp(acceleration, (time,), (torch.ones_like(time),))[1]
+    torch.testing.assert_close(jacobian.velocity_time, expected, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("size", [9, 70], ids=["Gauss-Jordan", "LAPACK"])
@@ -82,15 +150,27 @@ def test_every_member_is_inverted(size):
     assert torch.allclose(invert(blocks.clone()), expected, rtol=0.0, atol=1e-13)
 
 
-def test_steps_are_of_fourth_order():
-    equations = Equations(Bubbles.of(PARAMETER_ROWS, DESIGNS, Conditions()), *Resolution(8, 8).grids())
+ORDERS = {
+    "free": (PLAIN, Conditions()),
+    "driven": (PLAIN, Conditions(driving=SineDriving(5e4, 2e4))),
+    "Zener": (PLAIN | REMEMBERING["Zener"], Conditions()),
+    "upper-convected, driven, Gilmore": (
+        PLAIN | REMEMBERING["upper-convected"],
+        Conditions(motion=RADIAL_EQUATIONS["gilmore"], driving=SineDriving(5e4, 2e4)),
+    ),
+}
+
+
+@pytest.mark.parametrize(("columns", "conditions"), ORDERS.values(), ids=ORDERS)
+def test_steps_are_of_fourth_order(columns, conditions):
+    equations = Equations(Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(8, 8).grids())
 
     def radius(steps):
         state, step = equations.start(), torch.full((3,), 0.6 / steps, dtype=torch.float64)
-        for _ in range(steps):
-            state = rosenbrock_step(equations, state, step).state
+        for i in range(steps):
+            state = rosenbrock_step(equations, state, step, i * step).state
         return state[:2]
 
-    exact = radius(320)
+    exact = radius(160)
     coarse, fine = ((radius(n) - exact).abs().amax(0) for n in (20, 40))
     assert (torch.log2(coarse / fine) > 3.5).all()
