@@ -17,7 +17,7 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.gap.linear import Linearisation, curves
-from imr_torch.gap.restrict import calibrate, draw_residuals, kept_rows, log_p, moved, refit, restrict
+from imr_torch.gap.restrict import calibrate, draw_residuals, log_p, moved, refit, restrict
 from imr_torch.observe import ExperimentBatch, collapse_time
 from imr_torch.random import SeedLike
 from imr_torch.simulate import Simulator
