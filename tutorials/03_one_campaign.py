@@ -10,7 +10,7 @@ from pathlib import Path
 
 from imr_torch.assimilate import EnsembleOptions
 from imr_torch.campaign import Campaign, CampaignSettings
-from imr_torch.design import Plan
+from imr_torch.design import Estimator, Plan
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.plot import plot_information, plot_parameter
@@ -41,7 +41,7 @@ laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats
 settings = CampaignSettings(plan=Plan(repeats=100))
 if SMOKE:
     small = EnsembleOptions(members=8, scouts=32, starts=2)
-    settings = CampaignSettings(plan=Plan(repeats=100), draws=4, evaluations=4, initial=3, ensemble=small)
+    settings = CampaignSettings(plan=Plan(repeats=100), estimator=Estimator(draws=4), evaluations=4, initial=3, ensemble=small)
 campaign = Campaign(OUT, case.prior, simulator, settings=settings, seed=1)
 
 # %%

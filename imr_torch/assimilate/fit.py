@@ -88,6 +88,11 @@ class ModelFit:
         return self.prior.model
 
     @property
+    def nuisance_log_det(self) -> float:
+        """Log determinant of the nuisances' Hessian."""
+        return 2.0 * float(self.nuisance_chol.diagonal(dim1=-2, dim2=-1).log().sum())
+
+    @property
     def posterior(self) -> ModelBelief:
         """The model's belief after the data: the Gaussian, or the moments of the weighed draws where those repair it."""
         if self.verdict is Verdict.REPAIRED:

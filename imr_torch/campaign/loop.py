@@ -21,6 +21,7 @@ from imr_torch.design import (
     DesignOptimizer,
     DesignSearch,
     DesignSpace,
+    Estimator,
     ExpectedInformationGain,
     InformationGain,
     Plan,
@@ -44,20 +45,18 @@ class CampaignSettings:
     Args:
         space: designs that may be asked for.
         plan: how each experiment will be observed.
-        draws: draws per model of an information gain.
+        estimator: how the information gain of a design is estimated.
         evaluations: designs evaluated in each search.
         initial: of which space-filling.
-        collapses: collapses in the window that is assimilated.
         evidence_samples: importance samples of each model and round, for evidence and moments.
         ensemble: how the assimilation searches.
     """
 
     space: DesignSpace = field(default_factory=DesignSpace)
     plan: Plan = field(default_factory=lambda: Plan(repeats=100))
-    draws: int = 48
+    estimator: Estimator = field(default_factory=lambda: Estimator(draws=48))
     evaluations: int = 25
     initial: int = 10
-    collapses: int = 2
     evidence_samples: int = 256
     ensemble: EnsembleOptions = field(default_factory=EnsembleOptions)
 
@@ -181,7 +180,7 @@ class Campaign:
             return Proposal(number, design, known["gain"], known["gain_sd"])
         settings = self.settings
         acquisition = ExpectedInformationGain(
-            self.belief, self.simulator, plan=settings.plan, space=settings.space, draws=settings.draws
+            self.belief, self.simulator, plan=settings.plan, space=settings.space, estimator=settings.estimator
         )
         search = search_design(
             acquisition,
@@ -256,8 +255,10 @@ class Campaign:
         return self.steps[-1]
 
     def _window(self, experiment: Experiment) -> Experiment:
-        last = collapse_time(experiment.times, experiment.radius.mean(0), self.settings.collapses)
-        return experiment.until(last)
+        collapses = self.settings.plan.collapses
+        if collapses is None:
+            return experiment
+        return experiment.until(collapse_time(experiment.times, experiment.radius.mean(0), collapses))
 
     def run(
         self, shoot: Callable[[Tensor, int], Experiment], designs: int, *, progress: Progress | None = None

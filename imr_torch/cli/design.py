@@ -6,6 +6,7 @@ imr-torch design --belief posterior.json --we-range 150:600 --rinf-range 0.15:0.
 
 import argparse
 from pathlib import Path
+from typing import get_args
 
 from imr_torch.cli.common import (
     add_physics_argument,
@@ -17,7 +18,16 @@ from imr_torch.cli.common import (
     simulator_of,
     write_result,
 )
-from imr_torch.design import DesignSearch, DesignSpace, ExpectedInformationGain, Plan, search_design
+from imr_torch.design import (
+    POLICIES,
+    DesignSearch,
+    DesignSpace,
+    Estimator,
+    ExpectedInformationGain,
+    Method,
+    Plan,
+    search_design,
+)
 from imr_torch.plot import plot_information
 
 NAME = "design"
@@ -27,7 +37,10 @@ SUMMARY = "the most informative next experiment"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the subcommand."""
     add_space_arguments(parser)
-    parser.add_argument("--policy", choices=("qLogNEI", "qEI"), default="qLogNEI", help="outer acquisition (default qLogNEI)")
+    parser.add_argument("--policy", choices=tuple(POLICIES), default="qLogNEI", help="how designs are chosen (default qLogNEI)")
+    parser.add_argument(
+        "--estimator", choices=get_args(Method), default="laplace", help="of the information gain (default laplace)"
+    )
     parser.add_argument("--draws", type=int, default=64, help="draws per model of each estimate (default 64)")
     parser.add_argument("--out", metavar="DIR", help="folder for the map and JSON")
     add_physics_argument(parser)
@@ -65,14 +78,14 @@ def run(args: argparse.Namespace) -> None:
     """Search and report."""
     simulator, space = simulator_of(args), space_of(args)
     acquisition = ExpectedInformationGain(
-        prior_of(args), simulator, plan=Plan(repeats=args.repeats), space=space, draws=args.draws
+        prior_of(args), simulator, plan=Plan(repeats=args.repeats), space=space, estimator=Estimator(args.estimator, args.draws)
     )
     search = search_design(
         acquisition,
         seed=args.seed,
         evaluations=args.evaluations,
         initial=min(10, args.evaluations),
-        policy=args.policy,
+        policy=POLICIES[args.policy],
         progress=progress_of(args),
     )
     best = search.recommendation

@@ -4,9 +4,10 @@ import torch
 from botorch.acquisition import AcquisitionFunction
 from torch import Tensor
 
-from imr_torch.design.eig import InformationGain, Plan, expected_information_gain
+from imr_torch.design.eig import expected_information_gain
+from imr_torch.design.gain import Estimator, InformationGain
+from imr_torch.design.plan import Plan
 from imr_torch.design.space import DesignSpace
-from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.simulate import Simulator
 
@@ -22,7 +23,7 @@ class ExpectedInformationGain(AcquisitionFunction):
         simulator: makes the bubbles.
         plan: how the experiment will be observed.
         space: designs that may be asked about.
-        draws: draws per constitutive model.
+        estimator: how the gain is estimated.
         seed: of the draws.
     """
 
@@ -33,13 +34,12 @@ class ExpectedInformationGain(AcquisitionFunction):
         *,
         plan: Plan | None = None,
         space: DesignSpace | None = None,
-        draws: int = 64,
+        estimator: Estimator | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__(model=None)  # type: ignore[arg-type]  # the belief is the model
-        if draws < 2:
-            raise InputDataError(f"ExpectedInformationGain.draws is {draws}; at least 2 are needed for an error estimate.")
-        self.belief, self.simulator, self.draws, self.seed = belief, simulator, draws, seed
+        self.belief, self.simulator, self.seed = belief, simulator, seed
+        self.estimator = estimator or Estimator()
         self.plan, self.space = plan or Plan(), space or DesignSpace()
 
     def estimate(self, designs: Tensor) -> InformationGain:
@@ -49,7 +49,9 @@ class ExpectedInformationGain(AcquisitionFunction):
             InputDataError: for a design outside the space.
         """
         self.space.check(designs)
-        return expected_information_gain(self.belief, designs, self.simulator, self.plan, draws=self.draws, seed=self.seed)
+        return expected_information_gain(
+            self.belief, designs, self.simulator, self.plan, estimator=self.estimator, seed=self.seed
+        )
 
     def forward(self, X: Tensor) -> Tensor:
         """Gain of each batch of designs.

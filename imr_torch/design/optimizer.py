@@ -1,36 +1,74 @@
 """Bayesian optimisation of a noisy utility over the design space: ask, tell, recommend.
 
 The surrogate is BoTorch's ``SingleTaskGP`` with a Matern-5/2 ARD kernel and the utility's own Monte Carlo variance as known
-noise. What is recommended is the maximum of the posterior mean, not the best noisy value (winner's curse).
+noise. What is recommended is the maximum of the posterior mean, not the best noisy value (winner's curse). Where achieved
+designs scatter, both are of the utility's expectation over the scatter, which the surrogate gives without further solves.
 """
 
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import torch
 from botorch.acquisition import AcquisitionFunction, PosteriorMean, qExpectedImprovement
-from botorch.acquisition.logei import qLogNoisyExpectedImprovement
+from botorch.acquisition.logei import qLogExpectedImprovement, qLogNoisyExpectedImprovement
+from botorch.acquisition.objective import ExpectationPosteriorTransform
 from botorch.exceptions.warnings import NumericsWarning
 from botorch.fit import fit_gpytorch_mll
 from botorch.models import SingleTaskGP
 from botorch.models.transforms import Normalize, Standardize
-from botorch.optim import optimize_acqf
-from botorch.utils.sampling import draw_sobol_samples, manual_seed
-from gpytorch.kernels import MaternKernel, ScaleKernel
+from botorch.models.transforms.input import ChainedInputTransform, InputPerturbation
+from botorch.models.utils.gpytorch_modules import get_matern_kernel_with_gamma_prior
+from botorch.optim import optimize_acqf, optimize_acqf_discrete, optimize_acqf_mixed
+from botorch.utils.sampling import draw_sobol_normal_samples, draw_sobol_samples, manual_seed
 from gpytorch.mlls import ExactMarginalLogLikelihood
 from torch import Tensor
 
 from imr_torch.design.acquisition import ExpectedInformationGain
-from imr_torch.design.eig import InformationGain
+from imr_torch.design.gain import InformationGain
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.random import child
 from imr_torch.types import Progress
 
 _SMALLEST_VARIANCE = 1e-8  # nats^2: draws may agree exactly, and a known noise of 0 is no noise model
-Acquisition = Literal["qLogNEI", "qEI"]
+_SCATTERED = 64  # achieved designs that stand for the scatter about one that was asked for
+_RESTARTS, _RAW = 8, 128
+
+Cost = Callable[[Tensor], Tensor]
+"""``n x 2`` designs to ``n`` positive costs; the search then maximises the utility per cost."""
+
+
+@dataclass(frozen=True)
+class Policy:
+    """How the next design is chosen, and the last.
+
+    Args:
+        acquisition: ``"qLogNEI"`` (Ament et al., NeurIPS 2023) or ``"qEI"``. Where achieved designs scatter, the former
+            compares with the incumbent's mean alone (qLogEI): joint draws of all scattered designs cost ten times more.
+        improvement: least improvement that counts with ``"qEI"``, in units of the utility.
+        incumbent: what counts as the best so far, and is recommended.
+    """
+
+    acquisition: Literal["qLogNEI", "qEI"] = "qLogNEI"
+    improvement: float = 0.0
+    incumbent: Literal["posterior mean", "best observed"] = "posterior mean"
+
+    def __post_init__(self) -> None:
+        if self.acquisition not in ("qLogNEI", "qEI"):
+            raise InputDataError(f"Policy.acquisition is {self.acquisition!r}; expected 'qLogNEI' or 'qEI'.")
+        if self.incumbent not in ("posterior mean", "best observed"):
+            raise InputDataError(f"Policy.incumbent is {self.incumbent!r}; expected 'posterior mean' or 'best observed'.")
+        if not 0.0 <= self.improvement < math.inf or (self.improvement and self.acquisition != "qEI"):
+            raise InputDataError(
+                f"Policy.improvement is {self.improvement}; expected a finite number >= 0, and 0 for 'qLogNEI'."
+            )
+
+
+POLICIES = {"qLogNEI": Policy(), "qEI": Policy("qEI"), "paper": Policy("qEI", 0.01, "best observed")}
+"""Key -> policy; ``paper`` is that of arXiv 2409.00011."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +77,7 @@ class Recommendation:
 
     Args:
         design: ``2`` tensor, (We, R_inf*).
-        mean: posterior mean of the utility there.
+        mean: posterior mean of the utility there (over the scatter of what is achieved; per cost if there is one).
         sd: its posterior standard deviation.
     """
 
@@ -57,39 +95,45 @@ class DesignOptimizer:
         space: designs that may be asked.
         seed: of Sobol points, acquisition samples and restarts.
         initial: space-filling designs before the surrogate is used.
-        acquisition: ``"qLogNEI"`` (recommended) or ``"qEI"`` (as in Chu et al. 2024).
+        policy: how designs are chosen.
+        cost: of an experiment; 1 when not given.
     """
 
-    def __init__(self, space: DesignSpace, *, seed: int, initial: int = 8, acquisition: Acquisition = "qLogNEI") -> None:
-        if acquisition not in ("qLogNEI", "qEI"):
-            raise InputDataError(f"acquisition is {acquisition!r}; expected 'qLogNEI' or 'qEI'.")
+    def __init__(
+        self, space: DesignSpace, *, seed: int, initial: int = 8, policy: Policy | None = None, cost: Cost | None = None
+    ) -> None:
         if initial < 2:
             raise InputDataError(f"initial is {initial}; at least 2 designs are needed before a surrogate can be fitted.")
-        self.space, self.seed, self.initial, self.acquisition = space, seed, initial, acquisition
+        self.space, self.seed, self.policy, self.cost = space, seed, policy or Policy(), cost
+        self.initial = initial if space.choices is None else max(2, min(initial, len(space.choices)))
         self.train_X = torch.empty(0, 2, dtype=torch.float64)
         self.train_Y = torch.empty(0, 1, dtype=torch.float64)
         self.train_Yvar = torch.empty(0, 1, dtype=torch.float64)
 
-    def ask(self, q: int = 1) -> Tensor:
-        """The next ``q x 2`` designs to evaluate: Sobol points first, then maxima of the acquisition."""
-        told = len(self.train_X)
-        if told < self.initial:
-            count = max(q, self.initial - told)
-            points = draw_sobol_samples(self.space.bounds, n=told + count, q=1, seed=child(self.seed, "sobol") % 2**31)
-            return points[told : told + q, 0]
-        with manual_seed(child(self.seed, "ask", told)), warnings.catch_warnings():
+    def ask(self, q: int = 1, *, pending: Tensor | None = None) -> Tensor:
+        """The next ``q x 2`` designs to evaluate: Sobol points first, then maxima of the acquisition.
+
+        Args:
+            q: how many.
+            pending: ``k x 2`` tensor of designs that were asked and are not told, because they are still being
+                evaluated or because their evaluation failed.
+        """
+        waiting = torch.empty(0, 2, dtype=torch.float64) if pending is None else pending
+        self.space.check(waiting)
+        done = len(self.train_X) + len(waiting)
+        if done < self.initial or len(self.train_X) < 2:
+            points = draw_sobol_samples(self.space.bounds, n=done + q, q=1, seed=child(self.seed, "sobol") % 2**31)
+            return self.space.settle(points[:, 0])[done:]
+        with manual_seed(child(self.seed, "ask", done)), warnings.catch_warnings():
             warnings.simplefilter("ignore", NumericsWarning)
-            candidates, _ = optimize_acqf(
-                self._acquisition(self.model()), self.space.bounds, q=q, num_restarts=8, raw_samples=128
-            )
-        return candidates.detach()
+            return self._maximise(self._acquisition(waiting), q, avoid=waiting)
 
     def tell(self, X: Tensor, Y: Tensor, Yvar: Tensor) -> None:
         """Record utilities.
 
         Args:
             X: ``n x 2`` tensor of designs.
-            Y: ``n x 1`` tensor of utilities.
+            Y: ``n x 1`` tensor of utilities, not divided by costs.
             Yvar: ``n x 1`` tensor of their variances (not standard deviations).
 
         Raises:
@@ -112,36 +156,91 @@ class DesignOptimizer:
         self.train_Yvar = torch.cat((self.train_Yvar, Yvar.to(self.train_Yvar)))
 
     def model(self) -> SingleTaskGP:
-        """The surrogate fitted to everything told so far."""
+        """The surrogate fitted to everything told so far, of the utility per cost; blind to the scatter of designs."""
+        return self._fit(Normalize(d=2, bounds=self.space.bounds))
+
+    def recommend(self) -> Recommendation:
+        """The incumbent of the policy: by default the maximum of the surrogate's posterior mean over the space."""
+        if self.policy.incumbent == "best observed" and len(self.train_X):
+            value, variance = self._utility()
+            best = int(value.argmax())
+            return Recommendation(self.train_X[best], float(value[best]), float(variance[best].sqrt()))
+        model = self._scattered_model()
+        with manual_seed(child(self.seed, "recommend", len(self.train_X))):
+            best = self._maximise(PosteriorMean(model, posterior_transform=self._over_scatter), 1)
+        with torch.no_grad():
+            posterior = model.posterior(best, posterior_transform=self._over_scatter)
+        return Recommendation(best[0], float(posterior.mean), float(posterior.variance.sqrt()))
+
+    @property
+    def _over_scatter(self) -> ExpectationPosteriorTransform | None:
+        return ExpectationPosteriorTransform(n_w=_SCATTERED) if any(self.space.scatter) else None
+
+    def _scattered_model(self) -> SingleTaskGP:
+        """The surrogate, with each design in the place of those that may be achieved where it is asked for."""
+        bounds = self.space.bounds
+        normalize = Normalize(d=2, bounds=bounds)
+        if not any(self.space.scatter):
+            return self._fit(normalize)
+        normal = draw_sobol_normal_samples(d=2, n=_SCATTERED, seed=child(self.seed, "scatter") % 2**31, dtype=torch.float64)
+        factors = torch.exp((normal - normal.mean(0)) / normal.std(0) * torch.tensor(self.space.scatter, dtype=torch.float64))
+        perturb = InputPerturbation(factors, bounds=bounds, multiplicative=True)  # beyond the box is taken at its edge
+        return self._fit(ChainedInputTransform(perturb=perturb, normalize=normalize))
+
+    def _fit(self, transform: Normalize | ChainedInputTransform) -> SingleTaskGP:
         if len(self.train_X) < 2:
             raise InputDataError(f"The surrogate needs at least 2 told designs, got {len(self.train_X)}.")
+        value, variance = self._utility()
         with manual_seed(child(self.seed, "fit", len(self.train_X))):
             gp = SingleTaskGP(
                 self.train_X,
-                self.train_Y,
-                self.train_Yvar,
-                covar_module=ScaleKernel(MaternKernel(nu=2.5, ard_num_dims=2)),
-                input_transform=Normalize(d=2, bounds=self.space.bounds),
+                value,
+                variance,
+                covar_module=get_matern_kernel_with_gamma_prior(2),  # without a prior, a flat axis has no length scale
+                input_transform=transform,
                 outcome_transform=Standardize(m=1),
             )
             fit_gpytorch_mll(ExactMarginalLogLikelihood(gp.likelihood, gp))
         return gp
 
-    def _acquisition(self, model: SingleTaskGP) -> AcquisitionFunction:
-        if self.acquisition == "qLogNEI":
-            return qLogNoisyExpectedImprovement(model, X_baseline=self.train_X, prune_baseline=True)
-        with torch.no_grad():
-            best = model.posterior(self.train_X).mean.amax()  # a single noisy value would be the winner's curse
-        return qExpectedImprovement(model, best_f=best)
+    def _utility(self) -> tuple[Tensor, Tensor]:
+        """Utility per cost of all told designs and its variance, ``n x 1`` each."""
+        if self.cost is None:
+            return self.train_Y, self.train_Yvar
+        cost = self.cost(self.train_X)
+        if cost.shape != (len(self.train_X),) or not bool((torch.isfinite(cost) & (cost > 0.0)).all()):
+            raise InputDataError(
+                f"cost of {len(self.train_X)} designs is {cost.tolist()}; expected as many finite positive numbers."
+            )
+        return self.train_Y / cost[:, None], self.train_Yvar / cost[:, None].square()
 
-    def recommend(self) -> Recommendation:
-        """The maximum of the surrogate's posterior mean over the space."""
-        model = self.model()
-        with manual_seed(child(self.seed, "recommend", len(self.train_X))):
-            best, _ = optimize_acqf(PosteriorMean(model), self.space.bounds, q=1, num_restarts=8, raw_samples=128)
-        with torch.no_grad():
-            posterior = model.posterior(best)
-        return Recommendation(best[0].detach(), float(posterior.mean), float(posterior.variance.sqrt()))
+    def _acquisition(self, pending: Tensor) -> AcquisitionFunction:
+        model, transform = self._scattered_model(), self._over_scatter
+        waiting = pending if len(pending) else None
+        if self.policy.acquisition == "qLogNEI" and transform is None:
+            return qLogNoisyExpectedImprovement(model, X_baseline=self.train_X, prune_baseline=True, X_pending=waiting)
+        best = self._utility()[0].amax()
+        if self.policy.incumbent == "posterior mean":
+            with torch.no_grad():
+                best = model.posterior(self.train_X[:, None], posterior_transform=transform).mean.amax()
+        kind = qExpectedImprovement if self.policy.acquisition == "qEI" else qLogExpectedImprovement
+        return kind(model, best_f=best + self.policy.improvement, posterior_transform=transform, X_pending=waiting)
+
+    def _maximise(self, acquisition: AcquisitionFunction, q: int, *, avoid: Tensor | None = None) -> Tensor:
+        """The ``q x 2`` designs of the space where an acquisition is largest."""
+        bounds, choices = self.space.bounds, self.space.choices
+        if choices is not None:
+            free = len(choices) if avoid is None else int((choices[:, None] != avoid).any(-1).all(-1).sum())
+            if q > free:
+                raise InputDataError(f"{q} designs were asked for and {free} of the {len(choices)} in the space are free.")
+            best, _ = optimize_acqf_discrete(acquisition, q, choices, X_avoid=avoid)
+        elif fixed := self.space.fixed_features:
+            best, _ = optimize_acqf_mixed(
+                acquisition, bounds, q, num_restarts=_RESTARTS, raw_samples=_RAW, fixed_features_list=fixed
+            )
+        else:
+            best, _ = optimize_acqf(acquisition, bounds, q=q, num_restarts=_RESTARTS, raw_samples=_RAW)
+        return best.detach()
 
 
 @dataclass(frozen=True)
@@ -174,17 +273,21 @@ def search_design(
     seed: int,
     evaluations: int = 25,
     initial: int = 10,
-    policy: Acquisition = "qLogNEI",
+    policy: Policy | None = None,
+    cost: Cost | None = None,
+    common: bool = False,
     progress: Progress | None = None,
 ) -> DesignSearch:
     """Find the design of largest expected information gain by Bayesian optimisation.
 
     Args:
         acquisition: the information gain; its space is searched.
-        seed: of the search; each evaluation has draws of its own.
+        seed: of the search.
         evaluations: designs evaluated in all.
         initial: of which space-filling.
-        policy: the outer acquisition.
+        policy: how designs are chosen.
+        cost: of an experiment; 1 when not given.
+        common: whether all evaluations share their draws and noise, which cancels from differences between designs.
         progress: called with one line per evaluation.
 
     Returns:
@@ -192,17 +295,19 @@ def search_design(
     """
     if evaluations < initial:
         raise InputDataError(f"evaluations is {evaluations}, fewer than the {initial} initial designs; raise it.")
-    optimizer = DesignOptimizer(acquisition.space, seed=seed, initial=initial, acquisition=policy)
-    designs, gains = [], []
-    sobol = iter(optimizer.ask(initial))
+    optimizer = DesignOptimizer(acquisition.space, seed=seed, initial=initial, policy=policy, cost=cost)
+    designs, gains, failed = [], [], torch.empty(0, 2, dtype=torch.float64)
+    sobol = iter(optimizer.ask(optimizer.initial))
     for number in range(evaluations):
         design = next(sobol, None)
-        design = optimizer.ask()[0] if design is None else design
-        acquisition.seed = child(seed, "eig", number)
+        design = optimizer.ask(pending=failed)[0] if design is None else design
+        acquisition.seed = child(seed, "eig", 0 if common else number)
         gain = acquisition.estimate(design[None])
         designs.append(design)
         gains.append(gain)
         tell_gain(optimizer, design, gain)
+        if gain.failed:
+            failed = torch.cat((failed, design[None]))
         if progress:
             error = gain.variance**0.5
             progress(

@@ -135,7 +135,7 @@ def _refit(
     best = laplace_evidence(null)
     while waiting:
         # the score is what an effect can gain to first order; twice that is allowed for what is not
-        if len(fits) > _ROUND and laplace_evidence(null) + score.get(waiting[0].name, 0.0) < best - _BEHIND:
+        if len(fits) > 2 * _ROUND and laplace_evidence(null) + score.get(waiting[0].name, 0.0) < best - _BEHIND:
             break
         leading, waiting = waiting[:_ROUND], waiting[_ROUND:]
         if progress:

@@ -158,4 +158,5 @@ def as_assimilation(fit: ModelFit, batch: ExperimentBatch) -> Assimilation:
 
 def laplace_evidence(fit: ModelFit) -> float:
     """``log p(y)`` in the Gaussian approximation, nats; priors are standard normal in the controls, so constants cancel."""
-    return float(-fit.cost + fit.chol.diagonal().log().sum() - 0.5 * fit.nuisance_log_det)
+    nuisances = fit.nuisance_chol.diagonal(dim1=-2, dim2=-1).log().sum()
+    return float(-fit.cost + fit.chol.diagonal().log().sum() - nuisances)

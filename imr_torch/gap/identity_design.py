@@ -14,7 +14,15 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.design import DesignOptimizer, DesignSpace, ExpectedInformationGain, InformationGain, Plan, tell_gain
+from imr_torch.design import (
+    DesignOptimizer,
+    DesignSpace,
+    Estimator,
+    ExpectedInformationGain,
+    InformationGain,
+    Plan,
+    tell_gain,
+)
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.effects import LIBRARY
 from imr_torch.material import Belief
@@ -130,7 +138,9 @@ def identity_design(
     parts = tuple(fits[name].posterior for name in causes)
     belief = Belief(parts, torch.tensor(list(causes.values()), dtype=torch.float64).log())
     space = space or DesignSpace()
-    acquisition = IdentityInformation(belief, simulator, plan=plan, space=space, draws=draws, seed=child(seed, "grid"))
+    acquisition = IdentityInformation(
+        belief, simulator, plan=plan, space=space, estimator=Estimator(draws=draws), seed=child(seed, "grid")
+    )
     optimizer = DesignOptimizer(space, seed=child(seed, "surrogate"))
     designs = _grid(space, grid)
     found = []
@@ -139,7 +149,9 @@ def identity_design(
         tell_gain(optimizer, design, gain)
         found.append(gain)
         if progress:
-            progress(f"next design {number + 1}/{len(designs)}: We {design[0]:.0f}, R_inf* {design[1]:.3f}: {gain.value:.3f} nats")
+            progress(
+                f"next design {number + 1}/{len(designs)}: We {design[0]:.0f}, R_inf* {design[1]:.3f}: {gain.value:.3f} nats"
+            )
     if len(optimizer.train_X) < 2:
         raise ConvergenceError(
             f"Too many bubbles failed at {len(designs) - len(optimizer.train_X)} of {len(designs)} designs; narrow the DesignSpace."

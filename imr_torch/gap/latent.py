@@ -92,7 +92,9 @@ def matern(times: Tensor, length: float) -> Tensor:
 def _responses(fit: ModelFit, line: Linearisation, batch: ExperimentBatch, simulator: Simulator, times: Tensor) -> Tensor:
     """Whitened change of the curves by a unit of ``w`` at each knot, between which it is interpolated by pulses: ``K x N``."""
     width = float(times[1] - times[0])
-    changes = [{"pulse": sign * _PULSE, "pulse_time": t, "pulse_width": math.log(width)} for t in times.tolist() for sign in (1, -1)]
+    changes = [
+        {"pulse": sign * _PULSE, "pulse_time": t, "pulse_width": math.log(width)} for t in times.tolist() for sign in (1, -1)
+    ]
     both = curves(fit, batch, simulator, changes)
     pulses = line.whiten(((both[0::2] - both[1::2]) / (2.0 * _PULSE)).nan_to_num())
     values = torch.exp(-(((times[:, None] - times) / width) ** 2))  # of each pulse (column) at each knot

@@ -90,9 +90,7 @@ class Onset:
         return f"The gap begins in the {self.phase}: records up to t* = {self.time:.2f} already reject the model."
 
 
-def generic_directions(
-    fit: ModelFit, line: Linearisation, batch: ExperimentBatch, simulator: Simulator
-) -> dict[str, Tensor]:
+def generic_directions(fit: ModelFit, line: Linearisation, batch: ExperimentBatch, simulator: Simulator) -> dict[str, Tensor]:
     """Directions that stand for no effect in particular: a pressure pulse at each of several times, and output shapes.
 
     Returns:

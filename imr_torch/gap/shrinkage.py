@@ -221,7 +221,9 @@ def _check(hypotheses: Sequence[Hypothesis], batch: ExperimentBatch) -> None:
         )
     names = [h.name for h in hypotheses]
     if len(set(names)) != len(names):
-        raise InputDataError(f"Base, effect and rival must be three hypotheses, got {names}; name an effect, and another rival.")
+        raise InputDataError(
+            f"Base, effect and rival must be three hypotheses, got {names}; name an effect, and another rival."
+        )
 
 
 def _near(
@@ -262,7 +264,9 @@ def _hold_out(
     groups = folds(len(batch.experiments))
     for number, out in enumerate(groups):
         if progress:
-            progress(f"shrinkage: fits without {', '.join(batch.experiments[i].label for i in out)} ({number + 1}/{len(groups)})")
+            progress(
+                f"shrinkage: fits without {', '.join(batch.experiments[i].label for i in out)} ({number + 1}/{len(groups)})"
+            )
         training = _part(batch, [i for i in range(len(batch.experiments)) if i not in out])
         for name, fit in _train(fits, training, simulator, child(seed, "fold", number)).items():
             for i in out:
@@ -338,7 +342,10 @@ def _bootstrap(
         observed = sum(float(d.residual.square().sum()) / d.repeats for d in designs) / count
         gaps[name] = observed - expected
         scale = math.sqrt(max(gaps[name], 0.0) / observed)
-        rows = [(scale * d.residual + _less_nuisances(d, e)).square().sum(1) / d.repeats for d, e in zip(designs, noise, strict=True)]
+        rows = [
+            (scale * d.residual + _less_nuisances(d, e)).square().sum(1) / d.repeats
+            for d, e in zip(designs, noise, strict=True)
+        ]
         drawn[name] = torch.stack(rows).sum(0) / count - expected
     levels = torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64)
     intervals = {}

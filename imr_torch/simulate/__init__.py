@@ -12,6 +12,7 @@ from imr_torch.simulate.conditions import (
 )
 from imr_torch.simulate.driving import Driving, GaussianPulse, SineDriving, TabulatedDriving
 from imr_torch.simulate.grids import Resolution
+from imr_torch.simulate.parallel import ParallelSimulator, process_pool
 from imr_torch.simulate.polytropic import PolytropicSimulator
 from imr_torch.simulate.radial import (
     RADIAL_EQUATIONS,
@@ -21,6 +22,7 @@ from imr_torch.simulate.radial import (
     RadialEquation,
     RayleighPlesset,
 )
+from imr_torch.simulate.scipy_reference import ScipySimulator
 from imr_torch.simulate.sensitivity import DESIGN, sensitivities
 from imr_torch.simulate.simulator import (
     Simulator,
@@ -49,11 +51,13 @@ __all__ = [
     "KellerMiksis",
     "KellerMiksisEnthalpy",
     "Medium",
+    "ParallelSimulator",
     "PolytropicGas",
     "PolytropicSimulator",
     "RadialEquation",
     "RayleighPlesset",
     "Resolution",
+    "ScipySimulator",
     "Simulator",
     "SineDriving",
     "Solution",
@@ -65,6 +69,7 @@ __all__ = [
     "check_designs",
     "check_times",
     "preset",
+    "process_pool",
     "sensitivities",
     "solve_batch",
     "solve_bundles",

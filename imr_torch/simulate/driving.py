@@ -7,6 +7,7 @@ implicit step.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import torch
@@ -103,12 +104,21 @@ class TabulatedDriving:
         if any(b <= a for a, b in zip(self.times[:-1], self.times[1:], strict=True)):
             raise InputDataError("TabulatedDriving.times must increase; sort them and drop repeated ones.")
 
-    def __call__(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """See :class:`Driving`."""
+    @cached_property
+    def _pieces(self) -> tuple[Tensor, Tensor]:
+        """Times, and the coefficients of each interval's cubic, highest power first: ``4 x n-1``."""
         from scipy.interpolate import CubicSpline  # only for those who tabulate
 
         spline = CubicSpline(self.times, self.pressures, bc_type="clamped")
-        inside = (time >= self.times[0]) & (time <= self.times[-1])
-        held = time.detach().clamp(self.times[0], self.times[-1]).cpu().numpy()
-        value, rate, bend = (torch.as_tensor(spline(held, order)).to(time) for order in range(3))
-        return value, torch.where(inside, rate, 0.0), torch.where(inside, bend, 0.0)
+        return torch.as_tensor(spline.x), torch.as_tensor(spline.c)
+
+    def __call__(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """See :class:`Driving`."""
+        knots, cubics = (x.to(time) for x in self._pieces)
+        inside = (time >= knots[0]) & (time <= knots[-1])
+        held = time.clamp(knots[0], knots[-1])
+        piece = torch.searchsorted(knots, held.detach().contiguous(), right=True).sub(1).clamp(0, len(knots) - 2)
+        s = held - knots[piece]
+        a, b, c, d = cubics[:, piece].unbind(0)
+        rate, bend = (3.0 * a * s + 2.0 * b) * s + c, 6.0 * a * s + 2.0 * b
+        return ((a * s + b) * s + c) * s + d, torch.where(inside, rate, 0.0), torch.where(inside, bend, 0.0)

@@ -1,7 +1,9 @@
-"""Where the fields live: spectral grids inside and outside the bubble, and the published second-order grid.
+"""Where the fields live: spectral grids inside and outside the bubble, and second-order grids to compare with.
 
 Inside, even Chebyshev collocation on the mapped coordinate ``y = r/R = tanh(beta eta)/tanh(beta)`` resolves the thermal
-boundary layer with some sixteen nodes; outside, Chebyshev on ``y = 1 + L (1 - xi)/(1 + xi)`` reaches to infinity.
+boundary layer with some sixteen nodes; outside, Chebyshev on ``y = 1 + L (1 - xi)/(1 + xi)`` reaches to infinity. Central
+differences on nodes that are even in ``eta`` and ``xi`` share the maps and nothing else; the published code's grid is the
+one that is even in ``y`` itself.
 References: Boyd, Chebyshev and Fourier Spectral Methods (2001), ch. 6, 8 and 17; Trefethen, Spectral Methods in MATLAB
 (2000), ch. 6 and 11.
 """
@@ -46,8 +48,9 @@ class Resolution:
         outside: nodes in the gel.
         stretch: ``beta``, how much the inner nodes crowd at the wall.
         reach: ``L``, the distance from the wall, in radii, within which half of the outer nodes lie.
-        kind: ``"spectral"``, or ``"authors"``: the uniform second-order grid of the published code (then ``stretch`` is
-            ignored and ``reach`` is its 2).
+        kind: ``"spectral"``; ``"finite_difference"``: of second order with the same crowding at the wall, where nodes
+            count the wall, the centre and infinity; ``"authors"``: the uniform second-order grid of the published code
+            (the same count; ``stretch`` is ignored and ``reach`` is its 2).
     """
 
     inside: int = 18
@@ -57,8 +60,8 @@ class Resolution:
     kind: str = "spectral"
 
     def __post_init__(self) -> None:
-        if self.kind not in ("spectral", "authors"):
-            raise InputDataError(f"Resolution.kind is {self.kind!r}; expected 'spectral' or 'authors'.")
+        if self.kind not in ("spectral", "finite_difference", "authors"):
+            raise InputDataError(f"Resolution.kind is {self.kind!r}; expected 'spectral', 'finite_difference' or 'authors'.")
         if not (4 <= self.inside <= 512 and 4 <= self.outside <= 512):
             raise InputDataError(f"Resolution has {self.inside} and {self.outside} nodes; expected 4 to 512 on each side.")
         if not (0.0 < self.stretch <= 6.0 and self.reach > 0.0):
@@ -69,7 +72,9 @@ class Resolution:
     def grids(self) -> tuple[Grid, Grid]:
         """The grids of the bubble and of the gel, float64."""
         if self.kind == "authors":
-            return uniform_inside(self.inside), uniform_outside(self.outside, self.reach)
+            return uniform_inside(self.inside), difference_outside(self.outside, self.reach)
+        if self.kind == "finite_difference":
+            return difference_inside(self.inside, self.stretch), difference_outside(self.outside, self.reach)
         return chebyshev_inside(self.inside, self.stretch), chebyshev_outside(self.outside, self.reach)
 
 
@@ -84,13 +89,7 @@ def chebyshev_inside(n: int, stretch: float) -> Grid:
     curvature = slope @ slope
     half = slice(0, n + 1)
     slope, curvature = (m[half, half] + m[half, n + 1 :].flip(1) for m in (slope, curvature))
-    eta = eta[half]
-    y = torch.tanh(stretch * eta) / math.tanh(stretch)
-    stretched = stretch / math.tanh(stretch) / torch.cosh(stretch * eta) ** 2
-    bend = -2.0 * stretch * torch.tanh(stretch * eta) * stretched
-    first = slope / stretched[:, None]
-    second = curvature / stretched[:, None] ** 2 - (bend / stretched**3)[:, None] * slope
-    return _grid(y, first, second)
+    return _grid(*_crowd(eta[half], slope, curvature, stretch))
 
 
 def chebyshev_outside(m: int, reach: float) -> Grid:
@@ -104,23 +103,56 @@ def chebyshev_outside(m: int, reach: float) -> Grid:
     return _outer(xi, slope, slope @ slope, reach)
 
 
+def difference_inside(nodes: int, stretch: float) -> Grid:
+    """Second-order differences on ``nodes`` points from centre to wall, even in ``eta``.
+
+    Args:
+        nodes: points, wall and centre included.
+        stretch: ``beta`` of ``y = tanh(beta eta)/tanh(beta)``.
+    """
+    eta, first, second = _even_differences(nodes)
+    return _with_centre(*_crowd(eta, first, second, stretch))
+
+
 def uniform_inside(nodes: int) -> Grid:
     """The published code's inner grid: ``nodes`` uniform points from centre to wall, second-order differences."""
-    y = torch.linspace(1.0, 0.0, nodes, dtype=torch.float64)
-    first, second = _central(nodes, y[0] - y[1])
-    first[-1] = 0.0
-    laplacian = second + 2.0 / y.clamp_min(1e-30)[:, None] * first
-    step = y[0] - y[1]
-    laplacian[-1] = 0.0
-    laplacian[-1, -1], laplacian[-1, -2] = -6.0 / step**2, 6.0 / step**2  # 3 d^2/dy^2 of an even field
-    return Grid(y[1:].clone(), first, laplacian[1:].contiguous())
+    return _with_centre(*_even_differences(nodes))
 
 
-def uniform_outside(nodes: int, reach: float) -> Grid:
-    """The published code's outer grid: ``nodes`` points uniform in ``xi`` from wall to infinity, second order."""
+def difference_outside(nodes: int, reach: float) -> Grid:
+    """Second-order differences on ``nodes`` points even in ``xi`` from wall to infinity, where the field vanishes.
+
+    Args:
+        nodes: points, wall and infinity included; the published code has these with ``reach = 2``.
+        reach: ``L`` of ``y = 1 + L (1 - xi)/(1 + xi)``.
+    """
     xi = torch.linspace(1.0, -1.0, nodes, dtype=torch.float64)
     first, second = _central(nodes, xi[0] - xi[1])
     return _outer(xi, first, second, reach)
+
+
+def _crowd(eta: Tensor, slope: Tensor, curvature: Tensor, stretch: float) -> tuple[Tensor, Tensor, Tensor]:
+    """``y = tanh(beta eta)/tanh(beta)``, and derivatives in ``eta`` turned into derivatives in ``y``."""
+    y = torch.tanh(stretch * eta) / math.tanh(stretch)
+    stretched = stretch / math.tanh(stretch) / torch.cosh(stretch * eta) ** 2
+    bend = -2.0 * stretch * torch.tanh(stretch * eta) * stretched
+    return y, slope / stretched[:, None], curvature / stretched[:, None] ** 2 - (bend / stretched**3)[:, None] * slope
+
+
+def _even_differences(nodes: int) -> tuple[Tensor, Tensor, Tensor]:
+    """``nodes`` points from wall to centre, and second-order derivatives of a field that is even there."""
+    y = torch.linspace(1.0, 0.0, nodes, dtype=torch.float64)
+    step = y[0] - y[1]
+    first, second = _central(nodes, step)
+    first[-1] = 0.0
+    second[-1, -1], second[-1, -2] = -2.0 / step**2, 2.0 / step**2
+    return y, first, second
+
+
+def _with_centre(y: Tensor, first: Tensor, second: Tensor) -> Grid:
+    """A grid whose last node is the centre, where ``(2/y) d/dy`` is twice the second derivative."""
+    laplacian = torch.cat(((second + 2.0 / y[:, None] * first)[:-1], 3.0 * second[-1:]))
+    return Grid(y[1:].clone(), first.contiguous(), laplacian[1:].contiguous())
 
 
 def _outer(xi: Tensor, slope: Tensor, curvature: Tensor, reach: float) -> Grid:

@@ -11,6 +11,7 @@ liquid. Gilmore (Caltech report 26-4, 1952): the same with the sound speed at th
 ``U'`` through viscous stress; that part is taken to the left. Pressures are over ``p_inf``, velocities over ``U_c``.
 """
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -192,10 +193,10 @@ class KellerMiksisEnthalpy(RadialEquation):
     key = "keller_miksis_enthalpy"
 
     def __post_init__(self) -> None:
-        if not (self.exponent > 1.0 and self.stiffness > 0.0):
+        if not (1.0 < self.exponent < math.inf and 0.0 < self.stiffness < math.inf):
             raise InputDataError(
                 f"{type(self).__name__} has exponent {self.exponent} and stiffness {self.stiffness}; expected exponent > 1 "
-                "and stiffness > 0 (B over p_inf)."
+                "and stiffness > 0 (B over p_inf), both finite."
             )
 
     def _compression(self, pressure: Tensor) -> Tensor:
@@ -207,9 +208,9 @@ class KellerMiksisEnthalpy(RadialEquation):
         return self._compression(pressure) ** (-1.0 / self.exponent)
 
     def _enthalpy(self, pressure: Tensor) -> Tensor:
-        """``h`` above that at ``p_inf``; ``expm1`` keeps the difference of two nearly equal enthalpies exact."""
+        """``h`` above that at ``p_inf``; ``expm1`` and ``log1p`` keep it exact near there and for a stiff liquid."""
         power = 1.0 - 1.0 / self.exponent
-        return (1.0 + self.stiffness) / power * torch.expm1(power * torch.log(self._compression(pressure)))
+        return (1.0 + self.stiffness) / power * torch.expm1(power * torch.log1p((pressure - 1.0) / (1.0 + self.stiffness)))
 
     def drive(self, wall: WallState) -> Drive:
         """See :class:`RadialEquation`."""

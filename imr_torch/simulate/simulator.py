@@ -26,6 +26,7 @@ class Status(IntEnum):
     NON_FINITE = 2
     RUNAWAY = 3
     STEP_UNDERFLOW = 4
+    LOST_WORKER = 5
     UNBOUNDED_ENERGY = 6
 
     @property
@@ -42,6 +43,7 @@ _ADVICE = {
     Status.STEP_UNDERFLOW: (
         "No step was small enough to meet the tolerance; check parameters and design, or raise the tolerance."
     ),
+    Status.LOST_WORKER: "The worker that was to solve it kept failing; look at its memory and its log, or send smaller chunks.",
     Status.UNBOUNDED_ENERGY: (
         "The strain energy has no lower bound at negative alpha, and the gel gave way at collapse; use alpha >= 0 or a milder "
         "design."
@@ -223,5 +225,6 @@ def solve_batch(
 def _explain(status: Tensor, parameters: Tensor) -> Tensor:
     """Failures that the gel is to blame for: with ``alpha < 0`` its stress at collapse pulls inwards as ``l^-8``."""
     modulus, stiffening = parameters[:, PARAMETERS.index(["G", "alpha"])].unbind(1)
-    gave_way = (status != Status.DONE) & (modulus > 0.0) & (stiffening < 0.0)
+    failed = (status != Status.DONE) & (status != Status.LOST_WORKER)
+    gave_way = failed & (modulus > 0.0) & (stiffening < 0.0)
     return torch.where(gave_way, int(Status.UNBOUNDED_ENERGY), status)

@@ -8,7 +8,7 @@ import torch
 
 from imr_torch.assimilate import EnsembleOptions
 from imr_torch.campaign import Campaign, CampaignSettings, Journal
-from imr_torch.design import Plan
+from imr_torch.design import Estimator, Plan
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS, Belief, reference_case
 from imr_torch.observe import Experiment, Nuisance, SimulatedLaboratory
@@ -20,7 +20,7 @@ SIMULATOR = PolytropicSimulator(stepping=Stepping(0.25))
 TIMES = torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
 SETTINGS = CampaignSettings(
     plan=Plan(times=TIMES, repeats=20),
-    draws=3,
+    estimator=Estimator(draws=3),
     evaluations=5,
     initial=4,
     evidence_samples=32,

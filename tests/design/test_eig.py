@@ -1,152 +1,264 @@
 """The information gain against closed forms: a linear camera of Gaussian parameters, where everything is known exactly."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import pytest
 import torch
 from botorch.optim import optimize_acqf
-from torch import Tensor
 from torch.distributions import MultivariateNormal
 
-from imr_torch.design import DesignSpace, ExpectedInformationGain, Plan, expected_information_gain
-from imr_torch.errors import InputDataError
-from imr_torch.material import Belief, TruncatedNormal, reference_case
-from imr_torch.observe import Noise, Nuisance
-from imr_torch.simulate import Conditions, PolytropicSimulator, Solution, broadcast_batch
-
-SIGMA = 0.05
-TIMES = torch.linspace(0.1, 2.0, 7, dtype=torch.float64)
-
-
-@dataclass(frozen=True)
-class LinearSimulator:
-    """``R = 1 + slope t + B(t, design) (G, mu, alpha)``."""
-
-    slope: float = 0.0
-    fail_below: float = -math.inf
-    conditions: Conditions = field(default_factory=Conditions)
-
-    def columns(self, designs: Tensor, times: Tensor) -> Tensor:
-        weber, rest = designs[..., :1] / 500.0, designs[..., 1:]
-        return torch.stack((torch.sin(weber * times), torch.cos(3.0 * rest * times), rest * times * 2.0), dim=-1)
-
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
-        radius = 1.0 + self.slope * times + (self.columns(designs, times) @ parameters[..., :3, None])[..., 0]
-        radius = torch.where(parameters[:, :1] < self.fail_below, torch.nan, radius)
-        radius = radius.reshape(*shape, -1)
-        zero = torch.zeros(shape, dtype=torch.long)
-        return Solution(times.reshape(*shape, -1), radius, radius, radius, zero, zero)
-
-
-def normal(sd: float) -> TruncatedNormal:
-    return TruncatedNormal(0.0, sd)
-
-
-ONE = Belief.prior({"gen_qkv": {"G": normal(0.3), "mu": normal(0.2), "alpha": normal(0.5)}})
-TWO = Belief.prior(
-    {
-        "nhkv": {"G": normal(0.1), "mu": normal(0.1)},
-        "gen_qkv": {"G": normal(0.1), "mu": normal(0.1), "alpha": normal(0.8)},
-    },
-    probabilities={"nhkv": 0.7, "gen_qkv": 0.3},
+from imr_torch.design import (
+    DesignSpace,
+    Estimator,
+    ExpectedInformationGain,
+    expected_information_gain,
+    information_bracket,
 )
-SDS = {"nhkv": [0.1, 0.1, 0.0], "gen_qkv": [0.1, 0.1, 0.8]}
-DESIGNS = torch.tensor([[300.0, 0.2], [800.0, 0.28]], dtype=torch.float64)
+from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.material import Belief, reference_case
+from imr_torch.observe import Noise, Nuisance
+from imr_torch.simulate import PolytropicSimulator, Stepping
+from tests.design.linear_camera import (
+    DESIGNS,
+    ONE,
+    SIGMA,
+    TWO,
+    LinearCamera,
+    correlated,
+    covariance,
+    exact,
+    normal,
+    plan,
+    sensitivity,
+)
+
+CORRELATED = Noise(slope=0.0, drift=0.0, floor=SIGMA, correlation_time=0.5)
+COARSE = Noise(slope=0.0, drift=0.0, floor=1.0)
+BOTH = Nuisance(time_zero=0.1, rest_radius=0.3)
+EXACT = [Estimator("laplace", draws=6), Estimator("importance", draws=6, inner=4, defence=0.0)]
 
 
-def sensitivity(designs: Tensor, sds: list[float]) -> Tensor:
-    columns = LinearSimulator().columns(designs, TIMES.expand(len(designs), -1)).flatten(0, 1)
-    return columns * torch.tensor(sds, dtype=torch.float64)
+def gain(belief, designs, how, estimator, *, camera=None, seed=0):
+    return expected_information_gain(belief, designs, camera or LinearCamera(), how, estimator=estimator, seed=seed)
 
 
-def plan(**changes) -> Plan:
-    return Plan(times=TIMES, **{"noise": Noise(slope=0.0, drift=0.0, floor=SIGMA), **changes})
-
-
+@pytest.mark.parametrize("estimator", EXACT, ids=lambda e: e.method)
 @pytest.mark.parametrize("q", [1, 2])
-@pytest.mark.parametrize("repeats", [1, 100])
-def test_gain_about_parameters_is_the_closed_form(q, repeats):
-    gain = expected_information_gain(ONE, DESIGNS[:q], LinearSimulator(), plan(repeats=repeats), draws=8, seed=0)
-    J = sensitivity(DESIGNS[:q], [0.3, 0.2, 0.5]) * math.sqrt(repeats) / SIGMA
-    exact = 0.5 * torch.linalg.slogdet(torch.eye(3, dtype=torch.float64) + J.mT @ J).logabsdet
-    assert gain.value == pytest.approx(float(exact), rel=1e-8)
-    assert gain.model == 0.0
-    assert gain.counted == gain.drawn == 8
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"repeats": 100}, {"noise": CORRELATED}, {"nuisance": BOTH}, {"nuisance": BOTH, "noise": CORRELATED, "repeats": 10}],
+    ids=["one curve", "100 repeats", "correlated", "nuisances", "all three"],
+)
+def test_unsaturated_estimators_are_exact_for_a_linear_gaussian_model(estimator, q, changes):
+    how = plan(**changes)
+    for belief in (ONE, correlated()):
+        found = gain(belief, DESIGNS[:q], how, estimator)
+        assert found.value == pytest.approx(exact(belief, DESIGNS[:q], how), rel=1e-7)
+        assert found.model == pytest.approx(0.0, abs=1e-12)
+        assert found.variance < 1e-12
+        assert found.counted == found.drawn == 6
 
 
-def test_gain_is_not_bounded_by_the_number_of_draws():
+@pytest.mark.parametrize("estimator", EXACT, ids=lambda e: e.method)
+def test_unsaturated_estimators_are_not_bounded_by_the_number_of_draws(estimator):
     precise = plan(repeats=10**8)
-    gain = expected_information_gain(ONE, DESIGNS[:1], LinearSimulator(), precise, draws=8, seed=0)
-    assert gain.value > 5 * math.log(8)
+    found = gain(ONE, DESIGNS[:1], precise, estimator)
+    assert found.value == pytest.approx(exact(ONE, DESIGNS[:1], precise), rel=1e-6)
+    assert found.value > 5 * math.log(6)
 
 
-def test_correlated_noise_enters_as_its_covariance():
-    noise = Noise(slope=0.0, drift=0.0, floor=SIGMA, correlation_time=0.5)
-    gain = expected_information_gain(ONE, DESIGNS[:1], LinearSimulator(), plan(noise=noise), draws=4, seed=0)
-    gap = (TIMES[:, None] - TIMES).abs()
-    C = SIGMA**2 * torch.exp(-gap / 0.5)
-    J = sensitivity(DESIGNS[:1], [0.3, 0.2, 0.5])
-    exact = 0.5 * torch.linalg.slogdet(torch.eye(3, dtype=torch.float64) + J.mT @ torch.linalg.solve(C, J)).logabsdet
-    assert gain.value == pytest.approx(float(exact), rel=1e-8)
+@pytest.mark.parametrize(
+    "estimator",
+    [
+        Estimator("importance", draws=200, inner=20),
+        Estimator("adaptive", draws=200, inner=200),
+        Estimator("nested", draws=600, inner=1200),
+        Estimator("contrastive", draws=600, inner=1200),
+        Estimator("paper", draws=900),
+    ],
+    ids=lambda e: e.method,
+)
+@pytest.mark.parametrize("belief", [ONE, TWO], ids=["one model", "two models"])
+def test_sampling_estimators_meet_the_closed_form_within_their_error_where_the_gain_is_small(estimator, belief):
+    how = plan(noise=replace(COARSE, floor=0.5 if belief is ONE else 0.3))
+    found = gain(belief, DESIGNS[:1], how, estimator, seed=3)
+    truth = exact(belief, DESIGNS[:1], how) + model_information(belief, how)
+    assert truth > 0.2
+    assert abs(found.value - truth) < 4.0 * found.variance**0.5 + 0.02
+    assert found.variance**0.5 < 0.1
 
 
-def test_an_unknown_time_zero_costs_what_its_covariance_says():
-    slope, sd = -0.4, 0.1
-    camera = LinearSimulator(slope=slope)
-    belief = Belief.prior({"newtonian": {"mu": normal(0.2)}})
-    uncertain = plan(nuisance=Nuisance(time_zero=sd))
-    rest = torch.tensor([[300.0, 1e-6]], dtype=torch.float64)  # cos(0) = 1: the sensitivity does not depend on time
-    gain = expected_information_gain(belief, rest, camera, uncertain, draws=4, seed=0)
-    C = SIGMA**2 * torch.eye(7, dtype=torch.float64) + (slope * sd) ** 2
-    J = torch.full((7, 1), 0.2, dtype=torch.float64)
-    exact = 0.5 * torch.log(1.0 + J.mT @ torch.linalg.solve(C, J))
-    assert gain.value == pytest.approx(float(exact), rel=1e-5)
-
-
-def test_gain_about_the_model_is_the_mutual_information_within_its_error():
-    draws = 400
-    gain = expected_information_gain(TWO, DESIGNS[:1], LinearSimulator(), plan(), draws=draws, seed=1)
-    generator = torch.Generator().manual_seed(5)
+def model_information(belief, how, count=40000):
+    """``I(y; m)`` by plain Monte Carlo with the exact Gaussian evidences; its error is below .004."""
+    if len(belief.models) == 1:
+        return 0.0
+    noise = covariance(DESIGNS[:1], how)
     laws = []
-    for key in TWO.keys:
-        J = sensitivity(DESIGNS[:1], SDS[key])
-        laws.append(MultivariateNormal(torch.zeros(7, dtype=torch.float64), J @ J.mT + SIGMA**2 * torch.eye(7)))
-    weights, exact = TWO.log_probabilities.exp(), 0.0
+    for part in belief.models:
+        J = sensitivity(part, DESIGNS[:1])
+        laws.append(MultivariateNormal(torch.zeros(7).double(), J @ J.mT + noise))
+    torch.manual_seed(0)
+    weights, value = belief.log_probabilities, 0.0
     for i, law in enumerate(laws):
-        y = torch.randn(20000, 7, generator=generator, dtype=torch.float64) @ law.scale_tril.mT
+        y = law.sample((count,))
         logs = torch.stack([other.log_prob(y) for other in laws])
-        exact += float(weights[i] * (logs[i] - torch.logsumexp(logs + TWO.log_probabilities[:, None], 0)).mean())
-    assert 0.02 < exact < 0.6
-    assert abs(gain.model - exact) < 4.0 * math.sqrt(gain.variance) + 0.005
-    assert gain.variance < 0.01
+        value += float(weights[i].exp() * (logs[i] - torch.logsumexp(logs + weights[:, None], 0)).mean())
+    return value
 
 
-def test_the_stated_variance_is_the_scatter_over_seeds():
-    values = [expected_information_gain(TWO, DESIGNS[:1], LinearSimulator(), plan(), draws=16, seed=s) for s in range(60)]
-    scatter = torch.tensor([v.value for v in values]).var()
-    stated = torch.tensor([v.variance for v in values]).mean()
-    assert 0.5 < float(scatter / stated) < 2.0
+@pytest.mark.parametrize("method", ["laplace", "importance"])
+def test_the_gain_splits_into_parameters_and_model(method):
+    how = plan(noise=replace(COARSE, floor=0.1))
+    found = gain(TWO, DESIGNS[:1], how, Estimator(method, draws=400), seed=1)
+    error = found.variance**0.5 + 0.004
+    assert abs(found.parameters - exact(TWO, DESIGNS[:1], how)) < 4.0 * error
+    assert abs(found.model - model_information(TWO, how)) < 4.0 * error
+    assert found.model > 5.0 * error
+    assert found.value == found.parameters + found.model
 
 
-def test_failed_bubbles_are_counted_and_too_many_make_the_estimate_void():
-    some = expected_information_gain(ONE, DESIGNS[:1], LinearSimulator(fail_below=-0.3), plan(), draws=64, seed=0)
+def test_the_papers_estimator_is_capped_at_the_log_of_its_draws_where_the_gain_is_large():
+    precise = plan(repeats=10**4)
+    for draws in (50, 400):
+        found = gain(ONE, DESIGNS[:1], precise, Estimator("paper", draws=draws))
+        assert found.value <= math.log(draws)
+        assert found.value == pytest.approx(math.log(draws), abs=0.05)
+        assert found.effective < 1.05
+    assert exact(ONE, DESIGNS[:1], precise) > math.log(400) + 5.0
+
+
+def test_the_papers_estimator_does_not_underflow_for_long_records():
+    found = gain(ONE, DESIGNS[:1], plan(repeats=10**9), Estimator("paper", draws=20))
+    assert found.value == pytest.approx(math.log(20))
+
+
+@pytest.mark.parametrize("repeats", [1, 10**4])
+@pytest.mark.parametrize("proposal", ["posterior", "prior"])
+def test_the_bracket_brackets(proposal, repeats):
+    how = plan(repeats=repeats)
+    few = Estimator(draws=40, inner=16 if proposal == "posterior" else 200)
+    found = [
+        information_bracket(ONE, DESIGNS[:1], LinearCamera(), how, proposal=proposal, estimator=few, seed=s) for s in range(12)
+    ]
+    truth = exact(ONE, DESIGNS[:1], how)
+    for name, sign in (("lower", 1.0), ("upper", -1.0)):
+        values = torch.tensor([getattr(b, name).value for b in found], dtype=torch.float64)
+        assert float(sign * (values.mean() - truth)) < 3.0 * float(values.std()) / 12**0.5
+    if proposal == "posterior":
+        assert all(abs(b.upper.value - b.lower.value) < 0.1 for b in found)
+    elif repeats > 1:
+        assert all(b.lower.value <= math.log(200) + 1e-9 < b.upper.value for b in found)
+
+
+@pytest.mark.parametrize(
+    ("estimator", "floor"),
+    [
+        (Estimator("laplace", draws=16), SIGMA),
+        (Estimator("importance", draws=16, inner=8), SIGMA),
+        (Estimator("adaptive", draws=16, inner=16), SIGMA),
+        (Estimator("nested", draws=400, inner=40), 0.5),
+        (Estimator("contrastive", draws=400, inner=40), 0.5),
+        (Estimator("paper", draws=40), 0.5),
+    ],
+    ids=lambda e: getattr(e, "method", None),
+)
+def test_the_stated_variance_is_the_scatter_over_seeds(estimator, floor):
+    how = plan(noise=replace(COARSE, floor=floor))
+    found = [gain(TWO, DESIGNS[:1], how, estimator, seed=s) for s in range(60)]
+    values = torch.tensor([f.value for f in found], dtype=torch.float64)
+    z = (values - values.mean()) / torch.tensor([f.variance for f in found], dtype=torch.float64).sqrt()
+    assert 0.7 < float(z.std()) < 1.4
+
+
+def test_the_variance_counts_the_inner_samples_that_all_data_share():
+    how = plan(noise=replace(COARSE, floor=0.5))
+    few = gain(ONE, DESIGNS[:1], how, Estimator("nested", draws=2000, inner=20))
+    many = gain(ONE, DESIGNS[:1], how, Estimator("nested", draws=2000, inner=2000))
+    assert few.variance > 5.0 * many.variance
+
+
+def test_the_bias_of_importance_sampling_is_no_more_than_it_says():
+    how = plan(noise=replace(COARSE, floor=0.2))
+    rough = Estimator("importance", draws=60, inner=4, defence=0.5)
+    found = [gain(ONE, DESIGNS[:1], how, rough, seed=s) for s in range(30)]
+    excess = torch.tensor([f.value for f in found], dtype=torch.float64) - exact(ONE, DESIGNS[:1], how)
+    assert 3.0 * float(excess.std()) / 30**0.5 < float(excess.mean()) < sum(f.bias for f in found) / 30
+
+
+@pytest.mark.parametrize("method", ["laplace", "importance", "adaptive", "nested", "contrastive", "paper"])
+def test_failed_bubbles_are_counted_and_too_many_make_the_estimate_void(method):
+    estimator = Estimator(method, draws=64, inner=8)
+    some = gain(ONE, DESIGNS[:1], plan(), estimator, camera=LinearCamera(limit=0.3))
     assert 32 < some.counted < 64
+    assert not some.failed
     assert math.isfinite(some.value)
-    most = expected_information_gain(ONE, DESIGNS[:1], LinearSimulator(fail_below=0.2), plan(), draws=64, seed=0)
+    most = gain(ONE, DESIGNS[:1], plan(), estimator, camera=LinearCamera(limit=-0.2))
     assert most.counted < 32
+    assert most.failed
     assert math.isnan(most.value)
 
 
-def test_two_bubbles_together_tell_less_than_the_sum_and_more_than_each():
-    both = expected_information_gain(ONE, DESIGNS, LinearSimulator(), plan(), draws=4, seed=0).value
-    each = [expected_information_gain(ONE, d[None], LinearSimulator(), plan(), draws=4, seed=0).value for d in DESIGNS]
+@pytest.mark.parametrize("method", ["laplace", "importance", "adaptive", "nested", "contrastive", "paper"])
+def test_a_belief_none_of_whose_gels_can_be_simulated_gives_a_failed_evaluation(method):
+    for belief in (ONE, TWO):
+        none = gain(belief, DESIGNS[:1], plan(), Estimator(method, draws=4, inner=4), camera=LinearCamera(limit=-100.0))
+        assert none.counted == 0
+        assert math.isnan(none.value)
+
+
+@pytest.mark.parametrize("method", ["laplace", "importance"])
+def test_two_bubbles_together_tell_less_than_the_sum_and_more_than_each(method):
+    estimator = Estimator(method, draws=40)
+    both = gain(ONE, DESIGNS, plan(), estimator).value
+    each = [gain(ONE, d[None], plan(), estimator).value for d in DESIGNS]
     assert max(each) < both < sum(each)
 
 
+@pytest.mark.parametrize("method", ["laplace", "importance", "nested", "paper"])
+def test_the_gain_does_not_depend_on_the_units_of_the_parameters(method):
+    units = (1e4, 3.0, 0.01)
+    scaled = Belief.prior({"gen_qkv": {"G": normal(3e3), "mu": normal(0.6), "alpha": normal(0.005)}})
+    estimator = Estimator(method, draws=30)
+    first = gain(ONE, DESIGNS[:1], plan(), estimator)
+    second = gain(scaled, DESIGNS[:1], plan(), estimator, camera=LinearCamera(units=units))
+    assert second.value == pytest.approx(first.value, rel=1e-6)
+    assert second.variance == pytest.approx(first.variance, rel=1e-4, abs=1e-12)
+
+
+def test_a_model_of_negligible_probability_costs_nothing():
+    sure = Belief(TWO.models, torch.tensor([-30.0, 0.0], dtype=torch.float64))
+    found = gain(sure, DESIGNS[:1], plan(), Estimator("laplace", draws=6))
+    assert found.drawn == 6
+    assert found.value == pytest.approx(exact(Belief(TWO.models[1:], torch.zeros(1).double()), DESIGNS[:1], plan()))
+
+
+def test_a_shorter_window_tells_less():
+    belief = reference_case("soft-pa").prior
+    design = torch.tensor([[400.0, 0.2]], dtype=torch.float64)
+    values = []
+    for collapses in (1, 2, None):
+        how = replace(plan(), times=torch.linspace(0.0, 4.0, 41, dtype=torch.float64), noise=Noise(), collapses=collapses)
+        values.append(gain(belief, design, how, Estimator("laplace", draws=8), camera=PolytropicSimulator()).value)
+    assert values[0] < values[1] < values[2]
+
+
+def test_unsaturated_estimators_and_bounds_agree_on_bubbles():
+    belief = reference_case("stiff-pa").prior
+    design = torch.tensor([[900.0, 0.28]], dtype=torch.float64)
+    how = replace(plan(), times=torch.linspace(0.0, 2.4, 31, dtype=torch.float64), noise=Noise())
+    bubbles = PolytropicSimulator(stepping=Stepping(0.25))
+    found = {
+        method: gain(belief, design, how, Estimator(method, draws=32, inner=inner), camera=bubbles)
+        for method, inner in (("laplace", 8), ("importance", 8), ("contrastive", 200), ("nested", 200))
+    }
+    assert abs(found["laplace"].value - found["importance"].value) < 0.3
+    error = found["importance"].variance ** 0.5
+    assert found["contrastive"].value - error < found["importance"].value < found["nested"].value + error
+
+
 def test_it_is_a_botorch_acquisition():
-    acquisition = ExpectedInformationGain(ONE, LinearSimulator(), plan=plan(), draws=4)
+    acquisition = ExpectedInformationGain(ONE, LinearCamera(), plan=plan(), estimator=Estimator("laplace", draws=4))
     X = DESIGNS[:, None]
     values = acquisition(X)
     assert values.shape == (2,)
@@ -158,10 +270,15 @@ def test_it_is_a_botorch_acquisition():
     assert float(value) >= float(values.max()) - 0.2
 
 
-def test_the_estimate_is_a_function_of_its_seed():
-    space = DesignSpace()
+@pytest.mark.parametrize("method", ["laplace", "importance", "paper"])
+def test_the_estimate_is_a_function_of_its_seed(method):
     acquisition = ExpectedInformationGain(
-        reference_case("soft-pa").prior, PolytropicSimulator(), plan=plan(), space=space, draws=4, seed=3
+        reference_case("soft-pa").prior,
+        PolytropicSimulator(stepping=Stepping(0.25)),
+        plan=plan(),
+        space=DesignSpace(),
+        estimator=Estimator(method, draws=4, inner=4, refinements=1),
+        seed=3,
     )
     design = torch.tensor([[400.0, 0.2]], dtype=torch.float64)
     first = acquisition.estimate(design)
@@ -171,6 +288,21 @@ def test_the_estimate_is_a_function_of_its_seed():
     assert acquisition.estimate(design) != first
 
 
-def test_one_draw_is_refused_because_it_has_no_error():
-    with pytest.raises(InputDataError, match="at least 2 are needed for an error estimate"):
-        ExpectedInformationGain(ONE, LinearSimulator(), draws=1)
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"draws": 1}, "Estimator.draws is 1; at least 2 are needed for an error estimate"),
+        ({"inner": 1}, "Estimator.inner is 1; at least 2"),
+        ({"method": "guess"}, "Estimator.method is 'guess'; expected one of laplace, importance"),
+        ({"refinements": -1}, "Estimator.refinements is -1; expected 0 or more"),
+        ({"defence": 0.9}, r"Estimator.defence is 0.9; expected a share in \[0, 0.5\]"),
+    ],
+)
+def test_impossible_estimators_are_refused(bad, message):
+    with pytest.raises(InputDataError, match=message):
+        Estimator(**bad)
+
+
+def test_a_design_without_its_dimension_of_bubbles_is_refused():
+    with pytest.raises(ShapeError, match=r"designs has shape \(2,\); expected q x 2"):
+        gain(ONE, DESIGNS[0], plan(), Estimator())

@@ -57,14 +57,14 @@ def test_that_the_evidence_is_within_four_errors_of_its_closed_form(batch: Exper
         assert (evidence.samples, evidence.failed) == (1024, 0)
 
 
-@pytest.mark.parametrize("samples", [64, 1024])
+@pytest.mark.parametrize("samples", [64, 512])
 def test_that_the_stated_error_is_the_scatter_over_seeds(simple, samples: int) -> None:
     batch, fit, truth = simple
-    runs = [weighed(fit, batch, seed=seed, samples=samples) for seed in range(100)]
+    runs = [weighed(fit, batch, seed=seed, samples=samples) for seed in range(60)]
     values, errors = tensor(*[r.value for r in runs]), tensor(*[r.error for r in runs])
     scatter = float((values - truth).square().mean().sqrt())
     assert scatter == pytest.approx(float(errors.square().mean().sqrt()), rel=0.3)
-    assert abs(float(values.mean()) - truth) < 4.0 * scatter / 10.0 + float(errors.mean()) ** 2
+    assert abs(float(values.mean()) - truth) < 4.0 * scatter / 60.0**0.5 + float(errors.mean()) ** 2
 
 
 @pytest.mark.parametrize("nuisance", [None, BOTH], ids=["known designs", "nuisances"])

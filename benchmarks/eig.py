@@ -1,0 +1,198 @@
+"""Estimators of the information gain: what they cost, how few draws rank designs, and whether cheap bubbles can stand in.
+
+  python benchmarks/eig.py [--part estimators|ranking|fidelity|searching] [--json OUT]
+
+Prior of the stiff-PA reference case, designs from a Sobol sequence over We 100-1000 and R_inf* .14-.30, 81 frames to
+t* = 4 cut at the second collapse. CPU times are of the process, one thread.
+"""
+
+import argparse
+import time
+from typing import Any
+
+import torch
+from botorch.utils.sampling import draw_sobol_samples
+from scipy.stats import spearmanr
+from torch import Tensor
+
+from imr_torch.design import (
+    DesignSpace,
+    Estimator,
+    ExpectedInformationGain,
+    Plan,
+    expected_information_gain,
+    search_design,
+)
+from imr_torch.design.likelihood import Data, infer
+from imr_torch.design.response import Shot, respond
+from imr_torch.files import write_json
+from imr_torch.material import reference_case
+from imr_torch.random import child, generator
+from imr_torch.simulate import PolytropicSimulator, Simulator, TransportSimulator
+
+PRIOR = reference_case("stiff-pa").prior
+PLANS = {1: Plan(repeats=1), 100: Plan(repeats=100)}
+
+
+def designs(count: int) -> Tensor:
+    """``count x 2`` space-filling designs."""
+    return draw_sobol_samples(DesignSpace().bounds, n=count, q=1, seed=7)[:, 0]
+
+
+def surface(points: Tensor, repeats: int, estimator: Estimator, *, seed: int, common: bool = False) -> Tensor:
+    """Gains at designs, ``n``, of polytropic bubbles; ``common`` shares draws and noise between designs."""
+    seeds = [child(seed, "common" if common else i) for i in range(len(points))]
+    values = [
+        expected_information_gain(PRIOR, X[None], PolytropicSimulator(), PLANS[repeats], estimator=estimator, seed=s).value
+        for X, s in zip(points, seeds, strict=True)
+    ]
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def estimators() -> list[dict[str, Any]]:
+    """Every method at one design."""
+    wanted = [
+        Estimator("laplace"),
+        Estimator("importance"),
+        Estimator("importance", inner=64),
+        Estimator("adaptive", inner=64),
+        Estimator("contrastive", draws=200, inner=1000),
+        Estimator("nested", draws=200, inner=1000),
+        Estimator("paper", draws=500),
+    ]
+    rows = []
+    for repeats, plan in PLANS.items():
+        for estimator in wanted:
+            started = time.process_time()
+            X = torch.tensor([[900.0, 0.28]], dtype=torch.float64)
+            gain = expected_information_gain(PRIOR, X, PolytropicSimulator(), plan, estimator=estimator, seed=1)
+            taken = time.process_time() - started
+            rows.append(vars(estimator) | {"repeats": repeats, "cpu": taken} | vars(gain))
+            print(
+                f"{repeats:4d} repeats  {estimator.method:11s} {estimator.draws:4d} x {estimator.inner:4d}: {gain.value:8.3f} "
+                f"+- {gain.variance**0.5:.3f}  parameters {gain.parameters:8.3f}  model {gain.model:7.3f}  CPU {taken:.2f} s",
+                flush=True,
+            )
+    return rows
+
+
+def ranking() -> list[dict[str, Any]]:
+    """Spearman correlation of small samples' surfaces over 16 designs with one of 500 draws of each model."""
+    points, rows = designs(16), []
+    wanted = [(Estimator("laplace", draws=n), common) for n in (25, 50, 100) for common in (False, True)]
+    wanted += [(Estimator("importance", draws=50), common) for common in (False, True)]
+    wanted += [(Estimator("paper", draws=500), False)]
+    for repeats in PLANS:
+        truth = surface(points, repeats, Estimator("laplace", draws=500), seed=0, common=True)
+        print(f"{repeats} repeats: gains {float(truth.min()):.2f} to {float(truth.max()):.2f} nats", flush=True)
+        for estimator, common in wanted:
+            seeds = 1 if estimator.method == "importance" else 3
+            started, found = time.process_time(), []
+            for seed in range(1, 1 + seeds):
+                values = surface(points, repeats, estimator, seed=seed, common=common)
+                regret = float(truth.max() - truth[values.argmax()])
+                found.append((float(spearmanr(values, truth)[0]), regret, float(values.mean() - truth.mean())))
+            taken = (time.process_time() - started) / seeds / len(points)
+            rho, regret, offset = torch.tensor(found, dtype=torch.float64).mean(0).tolist()
+            rows.append(vars(estimator) | {"repeats": repeats, "common": common, "spearman": rho, "regret": regret})
+            print(
+                f"  {estimator.method:10s} N = {2 * estimator.draws:4d} {'common' if common else 'own':6s} draws: "
+                f"Spearman {rho:.3f}  regret {regret:.3f}  mean offset {offset:+.3f}  CPU {taken:.2f} s",
+                flush=True,
+            )
+    return rows
+
+
+def informations(simulator: Simulator, X: Tensor, draws: int) -> dict[int, Tensor]:
+    """``1/2 log det(1 + J^T J)`` of each draw of each model at one design; NaN where a bubble failed."""
+    found: dict[int, list[Tensor]] = {repeats: [] for repeats in PLANS}
+    for part in PRIOR.models:
+        v = torch.randn(draws, len(part.names), generator=generator(5), dtype=torch.float64)
+        seen = respond(Shot(PRIOR, X[None], simulator, PLANS[1]), part, v)
+        window = PLANS[1].window(seen.radius)
+        for repeats, plan in PLANS.items():
+            each = torch.full((draws,), torch.nan, dtype=torch.float64)
+            each[seen.good] = infer(Data(seen.radius, window)[seen.good], seen[seen.good], plan).information
+            found[repeats].append(each)
+    return {repeats: torch.stack(rows) for repeats, rows in found.items()}
+
+
+def fidelity() -> list[dict[str, Any]]:
+    """Correlation of the polytropic gain with that of the full physics, over designs and over draws at one design."""
+    points, draws, rows = designs(16), 32, []
+    cheap, full = [[informations(s, X, draws) for X in points] for s in (PolytropicSimulator(), TransportSimulator())]
+    for repeats in PLANS:
+        a, b = (torch.stack([entry[repeats] for entry in runs]) for runs in (cheap, full))  # designs x models x draws
+        good = torch.isfinite(a) & torch.isfinite(b)
+        a, b = torch.where(good, a, torch.nan), torch.where(good, b, torch.nan)
+        over_designs = torch.corrcoef(torch.stack((a.nanmean((1, 2)), b.nanmean((1, 2)))))[0, 1]
+        within = []
+        for x, y, keep in zip(a.flatten(0, 1), b.flatten(0, 1), good.flatten(0, 1), strict=True):
+            within.append(float(torch.corrcoef(torch.stack((x[keep], y[keep])))[0, 1]))
+        rank = float(spearmanr(a.nanmean((1, 2)), b.nanmean((1, 2)))[0])
+        left = float((1.0 - torch.tensor(within).square()).median())
+        best = int(a.nanmean((1, 2)).argmax())
+        regret = float(b.nanmean((1, 2)).max() - b.nanmean((1, 2))[best])
+        row = {
+            "repeats": repeats,
+            "over_designs": float(over_designs),
+            "spearman": rank,
+            "median_variance_left": left,
+            "within": within,
+            "regret": regret,
+            "offset": float((a - b).nanmean()),
+        }
+        rows.append(row)
+        print(
+            f"{repeats:4d} repeats: over designs r = {row['over_designs']:.3f}, Spearman {rank:.3f}, regret of the polytropic "
+            f"choice {regret:.3f} nats, offset {row['offset']:+.3f}; a control variate leaves {left:.2f} of the variance",
+            flush=True,
+        )
+    return rows
+
+
+def searching() -> list[dict[str, Any]]:
+    """Regret of the design that a whole search recommends, against a grid and all designs found."""
+    runs = []
+    for draws, seeds in ((16, 4), (64, 4)):
+        for common in (False, True):
+            for seed in range(seeds):
+                started = time.process_time()
+                acquisition = ExpectedInformationGain(
+                    PRIOR, PolytropicSimulator(), plan=PLANS[100], estimator=Estimator("laplace", draws=draws)
+                )
+                best = search_design(acquisition, seed=seed, common=common).recommendation.design
+                runs.append(((draws, common), best, time.process_time() - started))
+    points = torch.cat((torch.stack([run[1] for run in runs]), designs(32)))
+    truth = surface(points, 100, Estimator("laplace", draws=500), seed=0, common=True)
+    rows = []
+    for key in dict.fromkeys(run[0] for run in runs):
+        mine = torch.tensor([run[0] == key for run in runs])
+        regrets = truth.max() - truth[: len(runs)][mine]
+        cpu = sum(run[2] for run in runs if run[0] == key) / int(mine.sum())
+        rows.append({"draws": key[0], "common": key[1], "regrets": regrets.tolist(), "cpu": cpu})
+        print(
+            f"laplace N = {2 * key[0]:4d} {'common' if key[1] else 'own':6s} draws: regret mean {float(regrets.mean()):.3f} "
+            f"worst {float(regrets.max()):.3f} nats, CPU of a search {cpu:.0f} s",
+            flush=True,
+        )
+    return rows
+
+
+PARTS = {"estimators": estimators, "ranking": ranking, "fidelity": fidelity, "searching": searching}
+
+
+def main() -> None:
+    """Run the parts asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--part", choices=tuple(PARTS), help="only this part")
+    parser.add_argument("--json", metavar="OUT", help="write the figures")
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    results = {name: work() for name, work in PARTS.items() if args.part in (None, name)}
+    if args.json:
+        write_json(args.json, results)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,34 @@
+"""What is known exactly about a linear-Gaussian experiment, by dense algebra: the measure of every estimator."""
+
+import torch
+from torch import Tensor
+
+from imr_torch.errors import ShapeError
+
+
+def linear_gaussian_gain(sensitivity: Tensor, noise: Tensor, prior: Tensor | None = None) -> Tensor:
+    """Mutual information of ``theta ~ N(., prior)`` and ``y = A theta + e`` with ``e ~ N(0, noise)``.
+
+    ``1/2 log det(noise + A prior A^T) - 1/2 log det(noise)`` (Lindley, Ann. Math. Stat. 27, 1956; Chaloner & Verdinelli,
+    Statist. Sci. 10, 1995, section 2). Nuisances belong into ``noise``, as ``B B^T``.
+
+    Args:
+        sensitivity: ``... x m x d`` tensor ``A``; stack the rows of experiments shot together.
+        noise: ``... x m x m`` tensor, covariance.
+        prior: ``... x d x d`` tensor, covariance; the identity when not given.
+
+    Returns:
+        ``...`` tensor, nats.
+
+    Raises:
+        ShapeError: if the shapes do not fit.
+    """
+    m, d = sensitivity.shape[-2:]
+    covariance = torch.eye(d, dtype=sensitivity.dtype, device=sensitivity.device) if prior is None else prior
+    if noise.shape[-2:] != (m, m) or covariance.shape[-2:] != (d, d):
+        raise ShapeError(
+            f"A sensitivity of shape {tuple(sensitivity.shape)} needs noise ... x {m} x {m} and prior ... x {d} x {d}; "
+            f"got {tuple(noise.shape)} and {tuple(covariance.shape)}."
+        )
+    both = torch.linalg.slogdet(noise + sensitivity @ covariance @ sensitivity.mT).logabsdet
+    return 0.5 * (both - torch.linalg.slogdet(noise).logabsdet)

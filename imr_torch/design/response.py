@@ -1,0 +1,110 @@
+"""What the camera would see of draws of a belief, and how it changes with gel and nuisances: the only use of the simulator.
+
+Controls ``v`` are those in which the belief is a standard normal, so a sensitivity is per standard deviation of what is
+believed now, whatever the units of the parameters.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from imr_torch.design.plan import Plan
+from imr_torch.material import Belief, ModelBelief
+from imr_torch.observe import Experiment, ExperimentBatch, predict
+from imr_torch.simulate import Simulator
+
+_STEP = 1e-4  # finite-difference step, in standard deviations of the belief; members of a bundle differ by nothing else
+_NEGLIGIBLE = 1e-4  # a model less probable than this changes the gain by less than .001 nats
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Designs shot with one belief, and how they are observed.
+
+    Args:
+        belief: what is thought of the gel now; models of negligible probability are left out.
+        designs: ``q x 2`` tensor, (We, R_inf*).
+        simulator: makes the bubbles.
+        plan: how they are observed.
+    """
+
+    belief: Belief
+    designs: Tensor
+    simulator: Simulator
+    plan: Plan
+
+    def __post_init__(self) -> None:
+        likely = self.belief.log_probabilities.exp() > _NEGLIGIBLE
+        parts = tuple(part for part, keep in zip(self.belief.models, likely.tolist(), strict=True) if keep)
+        object.__setattr__(self, "belief", Belief(parts, self.belief.log_probabilities[likely]))
+
+    @cached_property
+    def film(self) -> ExperimentBatch:
+        """The experiments as they will be predicted, without data."""
+        times, blank = self.plan.times, torch.zeros(1, len(self.plan.times), dtype=torch.float64)
+        shots = [Experiment(f"design {i + 1}", (x, y), times, blank) for i, (x, y) in enumerate(self.designs.tolist())]
+        return ExperimentBatch(tuple(shots), self.plan.noise)
+
+
+@dataclass(frozen=True)
+class Response:
+    """Gels and what the camera would see of them.
+
+    Args:
+        controls: ``n x d`` tensor.
+        radius: ``n x q x T`` tensor, R/Rmax.
+        by_gel: ``n x q x T x d`` tensor, sensitivity to the controls; ``d = 0`` when not asked for.
+        by_nuisance: ``n x q x T x k`` tensor, per standard deviation of the nuisances that are not known exactly.
+    """
+
+    controls: Tensor
+    radius: Tensor
+    by_gel: Tensor
+    by_nuisance: Tensor
+
+    def __len__(self) -> int:
+        return len(self.controls)
+
+    def __getitem__(self, rows: Tensor | slice) -> "Response":
+        return Response(self.controls[rows], self.radius[rows], self.by_gel[rows], self.by_nuisance[rows])
+
+    @property
+    def good(self) -> Tensor:
+        """``n`` boolean tensor: gels all of whose bubbles could be simulated."""
+        seen = torch.cat((self.radius[..., None], self.by_gel, self.by_nuisance), dim=-1)
+        return torch.isfinite(seen).flatten(1).all(1)
+
+    def replaced(self, rows: Tensor, others: "Response") -> "Response":
+        """These gels with others in the place of some rows."""
+        pairs = [(getattr(self, f), getattr(others, f)) for f in self.__dataclass_fields__]
+        return Response(*(mine.index_copy(0, rows, new) for mine, new in pairs))
+
+
+def radii(shot: Shot, part: ModelBelief, controls: Tensor) -> Tensor:
+    """R/Rmax of gels at controls: ``... x d`` to ``... x q x T``; NaN where the solve failed."""
+    return predict(shot.simulator, part.parameters(part.mean + controls @ part.chol.mT), shot.film)
+
+
+def respond(shot: Shot, part: ModelBelief, controls: Tensor, *, gel: bool = True) -> Response:
+    """Radii and their sensitivities: each gel with its moved copies is a bundle that the solver advances in lock step.
+
+    Args:
+        shot: designs and how they are observed.
+        part: the model.
+        controls: ``n x d`` tensor.
+        gel: whether the sensitivity to the gel is wanted.
+    """
+    d, q = controls.shape[1] if gel else 0, len(shot.designs)
+    sds = shot.plan.nuisance.sds()
+    uncertain = torch.nonzero(sds > 0.0)[:, 0].tolist()
+    moved = torch.zeros(1 + d + len(uncertain), controls.shape[1], dtype=torch.float64)
+    shifts = torch.zeros(len(moved), 1, 3, dtype=torch.float64)
+    for row, (target, column) in enumerate([(moved, i) for i in range(d)] + [(shifts[:, 0], i) for i in uncertain], start=1):
+        target[row, column] = _STEP
+    parameters = part.parameters(part.mean + (controls[:, None] + moved) @ part.chol.mT)
+    displacement = (shifts * sds).expand(len(controls), -1, q, -1) if uncertain else None
+    radius = predict(shot.simulator, parameters, shot.film, displacement, bundled=True)
+    slopes = ((radius[:, 1:] - radius[:, :1]) / _STEP).movedim(1, -1)
+    return Response(controls, radius[:, 0], slopes[..., :d], slopes[..., d:])

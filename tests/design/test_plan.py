@@ -1,0 +1,53 @@
+import math
+
+import pytest
+import torch
+
+from imr_torch.design import PAPER_PLAN, Plan
+from imr_torch.errors import InputDataError
+from imr_torch.material import reference_case
+from imr_torch.observe import Experiment, Noise, collapse_time
+from imr_torch.simulate import PolytropicSimulator
+
+
+def test_the_window_holds_the_frames_that_an_assimilation_would_keep():
+    draws = reference_case("stiff-pa").prior.sample(6, seed=0).parameters
+    design = torch.tensor([400.0, 0.2], dtype=torch.float64)
+    plan = Plan()
+    radius = PolytropicSimulator()(draws, design, plan.times).radius
+    window = plan.window(radius[:, None])[:, 0]
+    for curve, kept in zip(radius, window, strict=True):
+        experiment = Experiment("x", (400.0, 0.2), plan.times, curve[None])
+        used = experiment.until(collapse_time(plan.times, curve, 2)).times
+        assert torch.equal(plan.times[kept], used)
+    assert len({int(row.sum()) for row in window}) > 1
+
+
+def test_a_curve_without_that_many_collapses_keeps_all_frames():
+    plan = Plan(times=torch.linspace(0.0, 1.0, 11, dtype=torch.float64))
+    assert bool(plan.window(torch.cos(plan.times)[None]).all())
+    assert bool(Plan(collapses=None).window(torch.cos(9.0 * Plan().times)).all())
+
+
+def test_the_papers_plan_is_its_noise_ramp_over_61_frames():
+    expected = torch.linspace(1e-6, 0.025, 81, dtype=torch.float64)[:61]
+    sd = PAPER_PLAN.noise.sd(torch.full((61,), 0.4, dtype=torch.float64), PAPER_PLAN.times)
+    assert float(PAPER_PLAN.times[-1]) == 3.0
+    assert torch.allclose(sd, expected, atol=1e-6)
+    assert PAPER_PLAN.repeats == 1
+
+
+def test_tempering_divides_the_misfit_by_the_number_of_frames():
+    plan = Plan(repeats=100, noise=Noise(scale=2.0))
+    soft = plan.tempered()
+    assert soft.repeats == 1
+    assert soft.noise.scale == pytest.approx(2.0 * math.sqrt(81))
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [({"repeats": 0}, "at least 1 curve per design"), ({"collapses": 0}, "Plan.collapses is 0; expected at least 1, or None")],
+)
+def test_an_impossible_plan_is_refused(bad, message):
+    with pytest.raises(InputDataError, match=message):
+        Plan(**bad)

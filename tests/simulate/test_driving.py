@@ -1,0 +1,224 @@
+"""Far-field driving: its derivatives, its table, and what it does to a bubble."""
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+from torch import Tensor
+
+from imr_torch.errors import InputDataError
+from imr_torch.simulate import (
+    RADIAL_EQUATIONS,
+    Accuracy,
+    Conditions,
+    Driving,
+    GasMixture,
+    GaussianPulse,
+    Medium,
+    PolytropicGas,
+    PolytropicSimulator,
+    Resolution,
+    SineDriving,
+    TabulatedDriving,
+    TransportSimulator,
+)
+from imr_torch.units import Surroundings
+from tests.simulate.bubble import FINE, gel, grid, tensor
+
+PERIOD = 4e-5
+SINE = SineDriving(6e4, 1.0 / PERIOD, 0.4)
+
+
+def table(driving: Driving, last: float = 5e-4, count: int = 4001) -> TabulatedDriving:
+    times = torch.linspace(0.0, last, count, dtype=torch.float64)
+    return TabulatedDriving(tuple(times.tolist()), tuple(driving(times)[0].tolist()))
+
+
+EVERY = {
+    "sine": SINE,
+    "pulse": GaussianPulse(-8e4, 3e-5, 1e-5),
+    "table": TabulatedDriving((0.0, 1e-5, 3e-5, 6e-5), (0.0, 2e4, -5e4, 1e4)),
+}
+
+
+@pytest.mark.parametrize("driving", EVERY.values(), ids=EVERY)
+def test_that_both_derivatives_are_those_of_the_pressure(driving: Driving) -> None:
+    """By autograd, so that gradients through a solve that knows only the pressure are right too."""
+    time = torch.linspace(1e-7, 5.9e-5, 97, dtype=torch.float64, requires_grad=True)
+    value, rate, bend = driving(time)
+    (by_value,) = torch.autograd.grad(value.sum(), time, retain_graph=True)
+    (by_rate,) = torch.autograd.grad(rate.sum(), time)
+    torch.testing.assert_close(rate.detach(), by_value, rtol=1e-12, atol=1e-6)
+    torch.testing.assert_close(bend.detach(), by_rate, rtol=1e-12, atol=1e-1)
+
+
+def test_that_a_table_is_met_at_its_samples_and_held_beyond_them() -> None:
+    driving = EVERY["table"]
+    assert isinstance(driving, TabulatedDriving)
+    knots = torch.tensor(driving.times, dtype=torch.float64)
+    assert driving(knots)[0].tolist() == pytest.approx(driving.pressures, abs=1e-9)
+    value, rate, bend = driving(tensor(-1e-5, -1.0, 6.1e-5, 1.0).reshape(2, 2))
+    assert value.tolist() == [[0.0, 0.0], [pytest.approx(1e4)] * 2]
+    assert float(rate.abs().sum() + bend.abs().sum()) == 0.0
+    near = driving(tensor(1e-12, 6e-5 - 1e-12))[1]  # the spline joins the constants without a kink
+    assert float(near.abs().max()) < 1e-5 * 1e9
+
+
+def test_that_a_tabulated_sine_drives_as_the_sine() -> None:
+    """Tabulated from a crest on, where the slope is zero as the table's end demands."""
+    sine = SineDriving(6e4, 1.0 / PERIOD, 0.5 * math.pi)
+    curves = [
+        PolytropicSimulator(Conditions(driving=driving), FINE)(gel(G=5e3, mu=0.05), tensor(300.0, 0.3), grid(3.0, 31)).radius
+        for driving in (sine, table(sine, 4e-4))
+    ]
+    assert float((curves[0] - curves[1]).abs().max()) < 1e-7
+    still = PolytropicSimulator(Conditions(), FINE)(gel(G=5e3, mu=0.05), tensor(300.0, 0.3), grid(3.0, 31)).radius
+    assert float((curves[0] - still).abs().max()) > 0.05
+
+
+def driven_reference(driving: Driving, key: str, weber: float, rest: float, mu: float, times: np.ndarray) -> np.ndarray:
+    """A polytropic bubble in SI by SciPy, the pressure and its rate written out; ``key`` is the radial equation's."""
+    s, kappa, tait, stiffness = Surroundings(), 1.3, 7.15, 304.913e6
+    p_inf, rho, c0 = s.far_field_pressure, s.density, s.sound_speed
+    r_max = s.max_radius(weber)
+    unit = s.time_scale(r_max)
+    vapour = 1.17e11 * math.exp(-5200.0 / s.temperature)
+    p_rest = p_inf + 2.0 * s.surface_tension / (rest * r_max) - vapour
+    ratio = tait / (tait - 1.0)
+
+    def enthalpy(p: float) -> float:
+        return ratio * (p_inf + stiffness) / rho * ((p + stiffness) / (p_inf + stiffness)) ** (1.0 / ratio)
+
+    def volume(p: float) -> float:
+        return ((p + stiffness) / (p_inf + stiffness)) ** (-1.0 / tait) / rho
+
+    def rate(t: float, y: np.ndarray) -> list[float]:
+        r, u = y
+        gas = p_rest * rest**3 * (r_max / r) ** (3.0 * kappa)
+        wall = gas + vapour - 2.0 * s.surface_tension / r - 4.0 * mu * u / r
+        known = (-3.0 * kappa * gas + 2.0 * s.surface_tension / r) * u / r + 4.0 * mu * u**2 / r**2
+        push, push_rate, _ = (float(x) for x in driving(torch.tensor(t, dtype=torch.float64)))
+        far = p_inf + push
+        if key == "rayleigh_plesset":
+            return [u, ((wall - far) / rho - 1.5 * u * u) / r]
+        if key == "keller_miksis":
+            h, known, inertia, c, f = (wall - far) / rho, (known - push_rate) / rho, 1.0 / rho, c0, 1.0
+        else:
+            h, inertia = enthalpy(wall) - enthalpy(far), volume(wall)
+            known = volume(wall) * known - volume(far) * push_rate
+            c = c0
+            if key == "gilmore":
+                c = c0 * ((wall + stiffness) / (p_inf + stiffness)) ** (0.5 / ratio)
+            f = 1.0 - u / c if key == "gilmore" else 1.0
+        mach = u / c
+        force = (1.0 + mach) * h + r / c * f * known - 1.5 * (1.0 - mach / 3.0) * u * u
+        return [u, force / ((1.0 - mach) * r + r / c * f * inertia * 4.0 * mu / r)]
+
+    span = (0.0, float(times[-1]) * unit)
+    result = solve_ivp(rate, span, [r_max, 0.0], method="DOP853", t_eval=times * unit, rtol=1e-10, atol=1e-16)
+    assert result.success
+    return result.y[0] / r_max
+
+
+@pytest.mark.parametrize("key", RADIAL_EQUATIONS)
+def test_that_a_driven_bubble_is_scipys_in_every_radial_equation(key: str) -> None:
+    times = grid(3.0, 61)
+    expected = driven_reference(SINE, key, 300.0, 0.25, 0.02, times.numpy())
+    conditions = Conditions(motion=RADIAL_EQUATIONS[key], driving=SINE)
+    solution = PolytropicSimulator(conditions, FINE)(gel(mu=0.02), tensor(300.0, 0.25), times)
+    torch.testing.assert_close(solution.radius, torch.tensor(expected), rtol=0.0, atol=2e-6)
+
+
+def isothermal(**options) -> Conditions:
+    """Gas that conducts so well that it is polytropic with exponent 1, in both simulators."""
+    mixture = GasMixture(conductivity_slope=5.3e2, conductivity_offset=1.17e5, vapour="absent")
+    return Conditions(gas=PolytropicGas(1.0, vapour=False), mixture=mixture, medium=Medium(warm=False), **options)
+
+
+@pytest.mark.parametrize("key", RADIAL_EQUATIONS)
+def test_that_both_simulators_are_driven_alike(key: str) -> None:
+    conditions = isothermal(motion=RADIAL_EQUATIONS[key], driving=SINE, initial_velocity=-1.5)
+    arguments = gel(G=4e3, mu=0.1), tensor(300.0, 0.5), grid(1.5, 16)
+    polytropic = PolytropicSimulator(conditions, FINE)(*arguments)
+    transport = TransportSimulator(conditions, Accuracy(1e-5, Resolution(10, 4)))(*arguments)
+    assert bool(transport.ok)
+    assert float(transport.velocity[0]) == pytest.approx(-1.5 / Surroundings().velocity_scale)
+    assert float((transport.radius - polytropic.radius).abs().max()) < 3e-4
+
+
+@pytest.fixture(scope="module")
+def suites(shared: Path) -> dict[str, str]:
+    path = shared / "reference" / "imrv2_suite_public.json"
+    if not path.exists():
+        pytest.skip("the IMRv2 suite is not among the reference data")
+    return json.loads(path.read_text())["property_suites"]
+
+
+PULSED = {"linkv": {"G_lin": 1e3}, "nhkv": {"G": 1e3}, "gen_qkv": {"G": 1e3, "alpha": 0.25}, "zener": {"G": 1e3, "tau": 1e-7}}
+PULSED |= {"ucm": {"tau_ucm": 1e-7, "retardation": 0.1}}
+
+
+@pytest.mark.parametrize("key", RADIAL_EQUATIONS)
+def test_that_a_bubble_returns_to_rest_after_a_slow_pulse_of_tension(key: str, suites: dict[str, str]) -> None:
+    """A bubble of 10 um at rest in a very viscous gel, a tension of almost one atmosphere for .1 ms: 2000 units of time,
+    which only the implicit solver strides over.
+    """
+    assert "R0=Req=10e-6, mu=0.5" in suites["gaussian"]
+    pulse = GaussianPulse(-1e5, 3e-4, 1e-4)
+    gels = torch.stack([gel(mu=0.5, **values) for values in PULSED.values()])
+    outer = Surroundings(101325.0, 1064.0, 0.07, 298.15, 1484.0)
+    times = torch.linspace(0.0, 2e-3, 101, dtype=torch.float64) / outer.time_scale(10e-6)
+    mixture = GasMixture(vapour="frozen")
+    conditions = Conditions(
+        outer, PolytropicGas(1.4, "rest"), mixture, Medium(warm=False), RADIAL_EQUATIONS[key], driving=pulse
+    )
+    simulator = TransportSimulator(conditions, Accuracy(1e-4, Resolution(8, 4)))
+    radius = simulator(gels, tensor(outer.weber(10e-6), 1.0 - 1e-9), times).radius
+    assert float((radius[:, -1] - 1.0).abs().max()) < 1e-2
+    assert bool((radius.amax(1) > 1.02).all())  # it did swell
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: SineDriving(math.nan, 1e4), r"SineDriving.amplitude is nan; it must be finite, in SI units"),
+        (lambda: SineDriving(1e4, 0.0), r"SineDriving.frequency is 0.0; it must be a positive finite number"),
+        (lambda: SineDriving(1e4, 1e4, math.inf), r"SineDriving.phase is inf"),
+        (lambda: GaussianPulse(1e4, math.nan, 1e-6), r"GaussianPulse.centre is nan"),
+        (lambda: GaussianPulse(1e4, 0.0, -1e-6), r"GaussianPulse.width is -1e-06; it must be a positive finite number"),
+        (
+            lambda: TabulatedDriving((0.0, 1.0), (0.0, 1.0)),
+            r"2 times and 2 pressures; expected as many of each, at least three",
+        ),
+        (lambda: TabulatedDriving((0.0, 1.0, 2.0), (0.0, 1.0)), r"3 times and 2 pressures"),
+        (lambda: TabulatedDriving((0.0, 1.0, math.nan), (0.0, 1.0, 2.0)), r"holds a value that is not finite"),
+        (lambda: TabulatedDriving((0.0, 1.0, 1.0), (0.0, 1.0, 2.0)), r"times must increase; sort them and drop repeated ones"),
+        (lambda: Conditions(motion="gilmore"), r"Conditions.motion is 'gilmore'; expected a RadialEquation"),  # type: ignore[arg-type]
+        (lambda: Conditions(initial_velocity=math.nan), r"Conditions.initial_velocity is nan; it must be finite, in m/s"),
+    ],
+)
+def test_that_bad_options_are_named(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(InputDataError, match=message):
+        call()
+
+
+def test_that_gradients_pass_through_a_tabulated_drive() -> None:
+    """The solver's time depends on the gel, so the pressure must be differentiable in time."""
+    simulator = PolytropicSimulator(Conditions(driving=table(SINE, 3e-4, 61)), FINE)
+    parameters = gel(G=5e3, mu=0.05).requires_grad_()
+    designs, times = tensor(300.0, 0.3), grid(1.5, 8)
+
+    def total(p: Tensor) -> Tensor:
+        return simulator(p, designs, times).radius.square().sum(-1)
+
+    (slope,) = torch.autograd.grad(total(parameters), parameters)
+    step = torch.zeros(2, parameters.shape[0], dtype=torch.float64)
+    step[0, 0], step[1, 1] = 0.5, 5e-6
+    point = parameters.detach()
+    difference = (total(point + step) - total(point - step)) / torch.tensor([1.0, 1e-5], dtype=torch.float64)
+    torch.testing.assert_close(slope[:2], difference, rtol=1e-5, atol=0.0)
