@@ -6,6 +6,7 @@ Each part is optional: a report says of one that was not run that it was not.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from imr_torch.errors import ConvergenceError
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.effects import LIBRARY
@@ -108,7 +109,10 @@ def _next(report: GapReport, simulator: Simulator, seed: int, progress: Progress
     open_ = {LIBRARY[name.split("+")[-1]].family for name in found.credible_set() if name in found.fits and name != "none"}
     if len(open_) < 2:
         return None
-    return identity_design(found.fits, found.posterior, simulator, seed=child(seed, "next"), progress=progress)
+    try:
+        return identity_design(found.fits, found.posterior, simulator, seed=child(seed, "next"), progress=progress)
+    except ConvergenceError:
+        return None  # bubbles that cannot be simulated elsewhere take nothing from what was found here
 
 
 def _hypothesis(report: GapReport, name: str) -> Hypothesis:

@@ -84,8 +84,8 @@ def _gap(report: GapReport) -> tuple[str, ...]:
     lines = [
         f"{found}: {_p(test.p_value)}, of the smallest of {len(test.blocks)} directed tests, calibrated with data drawn "
         "under the fitted base model.",
-        f"Size: {test.bias_sigma:.2f} standard deviations of a single shot (rms), {test.bias_radius:.4f} in R*, after the "
-        "parameters have absorbed what they can, so the true gap is larger.",
+        f"Size: {test.bias_sigma:.2f} standard deviations of a single shot (rms), {test.bias_radius:.4f} in R*, beside what "
+        "the fitted parameters hide of it.",
         "Tests that speak loudest: " + "; ".join(f"{b.name} ({_p(b.p_value)}{_power(b)})" for b in test.blocks[:_BLOCKS]) + ".",
     ]
     known = [b for b in test.blocks if b.name in LIBRARY and not math.isnan(b.power)]
@@ -248,7 +248,7 @@ def _refusals(report: GapReport, parts: Parts) -> tuple[str, ...]:
     if report.verdict == "class":
         lines.append("Which of the class it is: the data explain all of them about equally well.")
     if report.verdict == "undecided":
-        lines.append("Whether there is a cause, and which.")
+        lines.append("Which effect it is, if any: see the reason of the verdict.")
     if report.verdict == "none":
         lines.append("That the model is right: effects listed as probably missed may be there.")
     if report.attribution is not None:

@@ -1,0 +1,116 @@
+"""The command ``imr-torch diagnose``: results in words, JSON and HTML, and messages before any work."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from imr_torch.cli import main
+from imr_torch.gap import load_set
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import SimulatedLaboratory
+from imr_torch.simulate import PolytropicSimulator
+
+FAST = ["--physics", "polytropic", "--effects", "sound_speed,rinf_bias,refraction", "--quiet"]
+
+
+@pytest.fixture(scope="module")
+def matched(tmp_path_factory) -> Path:
+    """A set of two designs that the base model describes."""
+    simulator = PolytropicSimulator()
+    outer = simulator.conditions.surroundings
+    times = torch.linspace(0.0, 2.6, 53, dtype=torch.float64)
+    laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 8e3, "mu": 0.08}), repeats=5, times=times)
+    designs = torch.tensor([[200.0, 0.2], [600.0, 0.17]], dtype=torch.float64)
+    shots = [laboratory.shoot(design, seed=i) for i, design in enumerate(designs)]
+    sizes = [float(outer.max_radius(float(we))) for we in designs[:, 0]]
+    path = tmp_path_factory.mktemp("set") / "matched.npz"
+    np.savez(
+        path,
+        time_s=np.stack([times.numpy() * float(outer.time_scale(size)) for size in sizes]),
+        radius_m=np.stack([size * shot.radius.numpy() for size, shot in zip(sizes, shots, strict=True)]),
+        we=designs[:, 0].numpy(),
+        rinf_star=designs[:, 1].numpy(),
+    )
+    return path
+
+
+def test_that_a_set_comes_back_as_it_was_shot(matched):
+    first, second = load_set(matched)
+    assert first.design == pytest.approx((200.0, 0.2))
+    assert second.radius.shape == (5, 53)
+    assert float(first.radius[:, 0].mean()) == pytest.approx(1.0, abs=0.005)
+    assert float(second.times[-1]) == pytest.approx(2.6)
+
+
+def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path, capsys):
+    paths = {"json": tmp_path / "result.json", "html": tmp_path / "page.html"}
+    options = [*FAST, "--heldout", "design 1", "--json", str(paths["json"]), "--html", str(paths["html"])]
+    assert main(["diagnose", str(matched), *options]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert "No gap was found" in captured.out
+    document = json.loads(paths["json"].read_text())
+    assert (document["gap"], document["verdict"], document["cause"]) == (False, "none", [])
+    assert document["converged"] is True
+    assert document["seconds"] > 0.0
+    page = paths["html"].read_text()
+    assert "No gap was found" in page
+    assert "Curves of 1 experiments" in page  # the one that is held out is not looked at
+
+
+@pytest.fixture
+def broken(tmp_path, matched) -> dict[str, Path]:
+    """Files that are no good, by what is wrong with them."""
+    with np.load(matched) as document:
+        good = dict(document)
+    changes = {
+        "keyless": {"we": None},
+        "short": {"we": good["we"][:1]},
+        "flat": {"radius_m": good["radius_m"][:, 0]},
+        "frames": {"time_s": good["time_s"][:, 1:]},
+        "empty": {"radius_m": np.full_like(good["radius_m"], np.nan)},
+        "negative": {"we": -good["we"]},
+        "words": {"we": np.array(["a", "b"])},
+    }
+    files = {"good": matched, "text": tmp_path / "text.npz", "csv": tmp_path / "curve.csv"}
+    files["text"].write_text("not a set")
+    files["csv"].write_text("experiment_id,time_s,radius_m\n")
+    for name, change in changes.items():
+        files[name] = tmp_path / f"{name}.npz"
+        np.savez(files[name], **{key: value for key, value in (good | change).items() if value is not None})
+    return files
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere.npz"], r"nowhere\.npz: no such file"),
+        (["nowhere.csv"], r"nowhere\.csv.*no such file"),
+        (["{text}"], r"text\.npz: cannot be read as \.npz"),
+        (["{keyless}"], r"no array 'we'; a set holds time_s, radius_m, we, rinf_star"),
+        (["{short}"], r"time_s has shape \(2, 53\); expected 2 dimensions, the first of 1 designs"),
+        (["{flat}"], r"radius_m has shape \(2, 53\); expected 3 dimensions"),
+        (["{frames}"], "radius_m has 53 frames, time_s 52"),
+        (["{empty}"], "design 0 has 0 frames that all repeats saw; at least 2 are needed"),
+        (["{negative}"], "expected We > 0"),
+        (["{words}"], "cannot be read as .npz arrays of numbers"),
+        (["{good}", "{csv}"], "cannot be mixed"),
+        (["{good}", "--base", "maxwell9"], "--base: unknown model 'maxwell9'; known are newtonian, nhe, nhkv"),
+        (["{good}", "--effects", "magic"], "Unknown effect 'magic'; known are strain_stiffening"),
+        (["{good}", "--without", "magic"], "Unknown effect 'magic'"),
+        (["{good}", "--base", "gen_qkv", "--effects", "strain_stiffening"], "cannot be put on the base model 'gen_qkv'"),
+        (["{good}", "--heldout", "design 7"], "--heldout: no experiment 'design 7' among the 2 loaded: design 0, design 1"),
+        (["{good}", "--experiments", "x"], "--experiments: no experiment 'x'"),
+        (["{good}", "--heldout", "design 0,design 1"], "--heldout leaves none of the 2 experiments to fit"),
+    ],
+)
+def test_that_bad_input_ends_with_a_message_before_any_work(arguments, message, broken, capsys):
+    assert main(["diagnose", *(a.format(**broken) for a in arguments)]) == 2
+    captured = capsys.readouterr().err
+    assert re.search(message, captured), captured
+    assert captured.startswith("imr-torch: ")
+    assert "assimilation" not in captured
