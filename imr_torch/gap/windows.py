@@ -75,7 +75,7 @@ def moving_windows(
     end = float(batch.times[batch.mask].max())
     if windows < 2 or steps < 1 or not 0.0 < width < end:
         raise InputDataError(
-            f"Expected 2 windows or more, 1 step or more and 0 < width < {end:g}; got {windows} windows, {steps} steps, width {width}."
+            f"Expected 2 windows or more, 1 step or more and 0 < width < {end:g}; got {windows}, {steps} and {width}."
         )
     starts = torch.linspace(0.0, end - width, windows, dtype=torch.float64)
     centres, maps = [], []
@@ -111,7 +111,7 @@ def _physical(fit: ModelFit, controls: Tensor) -> Tensor:
 
 
 def _constancy(centres: Tensor, controls: Tensor, maps: Tensor) -> tuple[Tensor, Tensor]:
-    """Slope over its standard deviation and p-value of constancy of each parameter; windows that share frames are correlated."""
+    """Slope over its sd and p-value of constancy of each parameter; windows that share frames are correlated."""
     count, size = controls.shape
     basis = torch.stack((torch.ones(count, dtype=torch.float64), centres - centres.mean()), 1)
     drift, p_values = [], []
