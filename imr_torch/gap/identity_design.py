@@ -94,7 +94,7 @@ def remaining_causes(
             chosen[family] = name
     if len(chosen) < 2:
         raise InputDataError(
-            f"{len(chosen)} causes have a fit ({', '.join(chosen.values()) or 'none'}); at least two of different families are needed."
+            f"{len(chosen)} causes have a fit ({', '.join(chosen.values()) or 'none'}); two of different families are needed."
         )
     weights = {name: max(posterior[name], 1e-12) for name in chosen.values()}
     return {name: weight / sum(weights.values()) for name, weight in weights.items()}
@@ -154,7 +154,7 @@ def identity_design(
             )
     if len(optimizer.train_X) < 2:
         raise ConvergenceError(
-            f"Too many bubbles failed at {len(designs) - len(optimizer.train_X)} of {len(designs)} designs; narrow the DesignSpace."
+            f"Too many bubbles failed at {len(designs) - len(optimizer.train_X)} of {len(designs)} designs; narrow the space."
         )
     best = optimizer.recommend().design
     acquisition.seed = child(seed, "best")

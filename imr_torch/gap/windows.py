@@ -54,7 +54,7 @@ def moving_windows(
     batch: ExperimentBatch,
     simulator: Simulator,
     *,
-    width: float = 1.0,
+    width: float | None = None,
     windows: int = 7,
     steps: int = _STEPS,
 ) -> MovingWindows:
@@ -65,7 +65,7 @@ def moving_windows(
         line: its neighbourhood.
         batch: the data.
         simulator: makes the bubbles.
-        width: of a window, in Rmax/U_c; about a first collapse by default.
+        width: of a window, in Rmax/U_c; by default 1, about a first collapse, or half of a record that is shorter than two.
         windows: how many, evenly over the records.
         steps: Gauss-Newton steps of each; the first needs no bubbles.
 
@@ -73,9 +73,10 @@ def moving_windows(
         InputDataError: if windows do not fit into the records, or one holds no frame.
     """
     end = float(batch.times[batch.mask].max())
+    width = min(1.0, 0.5 * end) if width is None else width
     if windows < 2 or steps < 1 or not 0.0 < width < end:
         raise InputDataError(
-            f"Expected 2 windows or more, 1 step or more and 0 < width < {end:g}; got {windows} windows, {steps} steps, width {width}."
+            f"Expected 2 windows or more, 1 step or more and 0 < width < {end:g}; got {windows}, {steps} and {width}."
         )
     starts = torch.linspace(0.0, end - width, windows, dtype=torch.float64)
     centres, maps = [], []
@@ -111,7 +112,7 @@ def _physical(fit: ModelFit, controls: Tensor) -> Tensor:
 
 
 def _constancy(centres: Tensor, controls: Tensor, maps: Tensor) -> tuple[Tensor, Tensor]:
-    """Slope over its standard deviation and p-value of constancy of each parameter; windows that share frames are correlated."""
+    """Slope over its sd and p-value of constancy of each parameter; windows that share frames are correlated."""
     count, size = controls.shape
     basis = torch.stack((torch.ones(count, dtype=torch.float64), centres - centres.mean()), 1)
     drift, p_values = [], []

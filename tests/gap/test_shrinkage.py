@@ -1,0 +1,103 @@
+import math
+
+import pytest
+import torch
+
+from imr_torch.errors import InputDataError
+from imr_torch.gap.effects import LIBRARY
+from imr_torch.gap.hypotheses import Hypothesis
+from imr_torch.gap.shrinkage import Comparison, HeldOut, Shrinkage, _bootstrap, folds, held_out, shrinkage
+from imr_torch.observe import Experiment, ExperimentBatch, Nuisance
+from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
+
+RIGHT = Hypothesis(BASE, (LIBRARY["strain_stiffening"],))
+WRONG = Hypothesis(BASE, (LIBRARY["sound_speed"],))
+
+
+@pytest.fixture(scope="module")
+def judged() -> Shrinkage:
+    batch = shoot({"alpha": 0.1}, DESIGNS, repeats=10, end=1.8)
+    near = {"none": fit(batch), RIGHT.name: fit(batch, RIGHT, alpha=0.1), WRONG.name: fit(batch, WRONG, sound_speed=0.1)}
+    return shrinkage(RIGHT, WRONG, batch, SIMULATOR, seed=0, near=near)
+
+
+def test_that_the_right_effect_closes_the_gap_and_a_wrong_one_closes_less(judged: Shrinkage) -> None:
+    low, median, high = judged.shrinkage["strain_stiffening"]
+    assert judged.converged
+    assert low < median < high
+    assert low > 0.8
+    assert abs(median - 1.0) < 0.1
+    assert judged.shrinkage["sound_speed"][2] < low
+    assert judged.gap["none"] > judged.gap["strain_stiffening"] < judged.gap["sound_speed"]
+
+
+def test_that_the_right_effect_predicts_better_and_is_adequate(judged: Shrinkage) -> None:
+    assert [c.against for c in judged.comparisons] == ["none", "sound_speed"]
+    assert all(c.won for c in judged.comparisons)
+    assert judged.adequacy_p > 0.01
+    assert judged.word(0.5) == "closed"
+    assert judged.word(0.001) == "partly closed"
+
+
+def test_that_the_shift_is_the_bias_of_the_base(judged: Shrinkage) -> None:
+    shift = judged.shift["G"]
+    assert set(judged.shift) == {"G", "mu"}
+    assert abs(shift.relative) > 3.0 * shift.sd > 0.0
+
+
+def design(bias: float, repeats: float, seed: int, slopes: int = 0) -> HeldOut:
+    """A held-out design with a known whitened bias and noise drawn anew."""
+    source = torch.Generator().manual_seed(seed)
+    noise = torch.randn(80, generator=source, dtype=torch.float64)
+    own = torch.randn(80, slopes, generator=source, dtype=torch.float64)
+    zero = torch.zeros(80, dtype=torch.float64)
+    return HeldOut(bias * math.sqrt(repeats) + noise, own, zero, 0.0, repeats, True)
+
+
+def test_that_the_interval_covers_the_true_shrinkage_as_often_as_it_says() -> None:
+    inside = 0
+    for seed in range(100):
+        held = {name: [design(b, 5.0, 3 * seed + k) for k in range(2)] for name, b in (("none", 0.5), ("effect", 0.25))}
+        low, _, high = _bootstrap(held, seed)[1]["effect"]
+        inside += low <= 0.75 <= high
+    assert 0.82 <= inside / 100 <= 0.98
+
+
+def test_that_the_gap_is_the_squared_bias_whatever_the_repeats_and_the_nuisances() -> None:
+    for repeats in (1.0, 20.0):
+        gaps = [_bootstrap({"none": [design(0.3, repeats, seed)]}, 0)[0]["none"] for seed in range(60)]
+        assert sum(gaps) / 60 == pytest.approx(0.09, abs=0.05)
+
+
+def test_that_each_design_is_held_out_once_and_at_most_a_quarter_of_many_at_a_time() -> None:
+    for count in (2, 5, 6, 10):
+        groups = folds(count)
+        assert sorted(i for group in groups for i in group) == list(range(count))
+        assert max(len(group) for group in groups) <= max(1, math.ceil(count / 4))
+
+
+def test_that_a_fitted_nuisance_takes_a_shifted_clock_out_of_the_residual() -> None:
+    (curve,) = shoot({}, DESIGNS[:1], repeats=0).experiments
+    best = fit(shoot({}, repeats=20))
+    late = [
+        ExperimentBatch((Experiment("late", DESIGNS[0], curve.times + 0.02, curve.radius, nuisance),))
+        for nuisance in (Nuisance(), Nuisance(time_zero=0.02))
+    ]
+    known, fitted = (held_out(best, one, SIMULATOR) for one in late)
+    assert float(fitted.residual.square().sum()) < 0.5 * float(known.residual.square().sum())
+    assert fitted.square < known.square
+
+
+def test_that_a_win_needs_two_standard_errors() -> None:
+    assert Comparison("none", 2.1, 1.0).won
+    assert not Comparison("none", 1.9, 1.0).won
+
+
+def test_that_one_design_or_no_effect_is_refused() -> None:
+    one, two = shoot({}, DESIGNS[:1], repeats=0), shoot({}, repeats=0)
+    with pytest.raises(InputDataError, match="at least two designs"):
+        shrinkage(RIGHT, None, one, SIMULATOR, seed=0)
+    with pytest.raises(InputDataError, match="name an effect"):
+        shrinkage(Hypothesis(BASE), None, two, SIMULATOR, seed=0)
+    with pytest.raises(InputDataError, match="another rival"):
+        shrinkage(RIGHT, RIGHT, two, SIMULATOR, seed=0)
