@@ -34,7 +34,7 @@ _BOOTSTRAP = 2000
 _APART = 0.1  # prior standard deviations between the starts of a training fit
 _STEPS = 2  # Gauss-Newton steps for the nuisances of a held-out design
 _ADEQUATE = 0.01
-_OPTIONS = EnsembleOptions(starts=2, iterations=25, gradient=5e-3)
+_OPTIONS = EnsembleOptions(starts=2, gradient=5e-3)
 _NONE = "none"
 
 
