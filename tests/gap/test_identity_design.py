@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.design import DesignSpace, Plan
+from imr_torch.design import DesignSpace, Estimator, Plan
 from imr_torch.errors import InputDataError
 from imr_torch.gap.effects import LIBRARY
 from imr_torch.gap.hypotheses import Hypothesis
@@ -64,7 +64,9 @@ def test_that_a_cause_of_the_measurement_is_told_apart_too(fits) -> None:
     belief = Belief(
         (null.posterior, late.posterior.with_gaussian(mean, late.posterior.chol)), torch.zeros(2, dtype=torch.float64)
     )
-    gain = IdentityInformation(belief, SIMULATOR, plan=PLAN, draws=8, seed=0).estimate(torch.tensor([DESIGNS[0]]).double())
+    gain = IdentityInformation(belief, SIMULATOR, plan=PLAN, estimator=Estimator(draws=8), seed=0).estimate(
+        torch.tensor([DESIGNS[0]]).double()
+    )
     assert gain.value > 0.6
     assert gain.parameters == 0.0
 
