@@ -31,10 +31,10 @@ from imr_torch.types import Progress
 _ALONE = 5  # up to as many designs each is held out alone; of more, a quarter at a time
 _FOLDS = 4
 _BOOTSTRAP = 2000
-_APART = 0.1  # prior standard deviations between the starts of a training fit
+_APART = 0.03  # prior standard deviations between the starts of a training fit: many posterior ones, and inside one valley
 _STEPS = 2  # Gauss-Newton steps for the nuisances of a held-out design
 _ADEQUATE = 0.01
-_OPTIONS = EnsembleOptions(starts=2, gradient=5e-3)
+_OPTIONS = EnsembleOptions(starts=3, iterations=25, gradient=5e-3)
 _NONE = "none"
 
 
@@ -98,7 +98,8 @@ class Shrinkage:
 
     Args:
         gap: hypothesis -> held-out ``D``, squared bias in single-shot variances.
-        shrinkage: hypothesis (effect, then rival) -> lower, median and upper value of ``S``, 90 % interval.
+        shrinkage: hypothesis (effect, then rival) -> lower, median and upper value of ``S``, 90 % interval, of these training
+            fits under new noise of the held-out curves; what other training data would have given is not in it.
         comparisons: the effect against the base and the rival.
         shift: parameter of the base -> how far it moves.
         adequacy_p: p-value of the held-out curves under the effect's prediction.
@@ -279,12 +280,12 @@ def _part(batch: ExperimentBatch, chosen: Sequence[int]) -> ExperimentBatch:
 
 
 def _train(fits: Mapping[str, ModelFit], batch: ExperimentBatch, simulator: Simulator, seed: int) -> dict[str, ModelFit]:
-    """Fits of all hypotheses to the training designs, in one batch, each from two starts near its fit to all designs."""
+    """Fits of all hypotheses to the training designs, in one batch, each from starts near its fit to all designs."""
     source = generator(seed)
     starts = []
     for fit in fits.values():
-        other = fit.mean + _APART * torch.randn(fit.mean.shape, generator=source, dtype=torch.float64)
-        starts.append(torch.stack((fit.mean, other)))
+        others = _APART * torch.randn(_OPTIONS.starts - 1, len(fit.mean), generator=source, dtype=torch.float64)
+        starts.append(torch.cat((fit.mean[None], fit.mean + others)))
     belief = Belief(tuple(fit.prior for fit in fits.values()), torch.zeros(len(fits), dtype=torch.float64))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # it is in the result

@@ -16,8 +16,8 @@ WRONG = Hypothesis(BASE, (LIBRARY["sound_speed"],))
 
 @pytest.fixture(scope="module")
 def judged() -> Shrinkage:
-    batch = shoot({"alpha": 0.1}, DESIGNS, repeats=10, end=1.8)
-    near = {"none": fit(batch), RIGHT.name: fit(batch, RIGHT, alpha=0.1), WRONG.name: fit(batch, WRONG, sound_speed=0.1)}
+    batch = shoot({"alpha": 0.05}, DESIGNS, repeats=10, end=1.8)
+    near = {"none": fit(batch), RIGHT.name: fit(batch, RIGHT, alpha=0.05), WRONG.name: fit(batch, WRONG, sound_speed=0.1)}
     return shrinkage(RIGHT, WRONG, batch, SIMULATOR, seed=0, near=near)
 
 
