@@ -275,7 +275,7 @@ def search_design(
     initial: int = 10,
     policy: Policy | None = None,
     cost: Cost | None = None,
-    common: bool = False,
+    common: bool = True,
     progress: Progress | None = None,
 ) -> DesignSearch:
     """Find the design of largest expected information gain by Bayesian optimisation.
@@ -287,7 +287,8 @@ def search_design(
         initial: of which space-filling.
         policy: how designs are chosen.
         cost: of an experiment; 1 when not given.
-        common: whether all evaluations share their draws and noise, which cancels from differences between designs.
+        common: whether all evaluations share their draws and noise, which cancels from differences between designs and
+            halves the regret (``benchmarks/RESULTS.md``); the error of the gain's level does not shrink then.
         progress: called with one line per evaluation.
 
     Returns:

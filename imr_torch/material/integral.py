@@ -5,7 +5,7 @@ switched off in the whole batch are left out. Memory states of all terms are sta
 order of the terms.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -206,7 +206,7 @@ def _forward_mode(
     return [torch.func.jvp(evaluate, (radius, velocity, memory), direction)[1] for direction in directions]
 
 
-def _with_memory(terms: Sequence[AnyTerm], memory: Tensor | None):
+def _with_memory(terms: Sequence[AnyTerm], memory: Tensor | None) -> Iterator[tuple[AnyTerm, tuple[Tensor, ...]]]:
     """Each term with the tuple of what it takes of ``memory``: nothing, or its own ``states x B`` rows."""
     start = 0
     for term in terms:

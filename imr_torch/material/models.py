@@ -4,7 +4,6 @@ To add a model, subclass :class:`Material` in one file, name its terms, and regi
 """
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 from torch import Tensor
 
@@ -34,11 +33,11 @@ class Material:
         known: parameters that must be measured independently (quasi-statically) and are not inferred.
     """
 
-    key: ClassVar[str]
-    title: ClassVar[str]
-    reference: ClassVar[str]
-    terms: ClassVar[tuple[AnyTerm, ...]]
-    known: ClassVar[tuple[str, ...]] = ()
+    key: str
+    title: str
+    reference: str
+    terms: tuple[AnyTerm, ...]
+    known: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -100,9 +100,10 @@ def rosenbrock_step(
         time: ``B`` tensor, of each member before the step; matters where the far field is driven.
         tableau: the method.
     """
-    driven = equations.bubbles.driven and time is not None
+    driven = equations.bubbles.driven
+    moment = torch.zeros_like(step) if time is None else time
     increments_of_time, moments = tableau.ticks
-    fields = equations.fields(state, time)
+    fields = equations.fields(state, moment)
     acceleration, jacobian = linearise(equations, fields)
     inside, outside = equations.inside.first, equations.outside.first
     shift = 1.0 / (tableau.gamma * step)
@@ -121,7 +122,7 @@ def rosenbrock_step(
         argument = state + offset
         right[:4] *= inverse_step
         right[4:] *= inverse_step[0]
-        right += equations.rate(equations.fields(argument, time + moments[i] * step if driven else None))
+        right += equations.rate(equations.fields(argument, moment + moments[i] * step if driven else None))
         if driven:
             right[1] += jacobian.velocity_time * step * increments_of_time[i]
         increments[i] = factors.solve(right)

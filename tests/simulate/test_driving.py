@@ -145,7 +145,7 @@ def test_that_both_simulators_are_driven_alike(key: str) -> None:
     conditions = isothermal(motion=RADIAL_EQUATIONS[key], driving=SINE, initial_velocity=-1.5)
     arguments = gel(G=4e3, mu=0.1), tensor(300.0, 0.5), grid(1.5, 16)
     polytropic = PolytropicSimulator(conditions, FINE)(*arguments)
-    transport = TransportSimulator(conditions, Accuracy(1e-5, Resolution(10, 4)))(*arguments)
+    transport = TransportSimulator(conditions, Accuracy(3e-5, Resolution(8, 4)))(*arguments)
     assert bool(transport.ok)
     assert float(transport.velocity[0]) == pytest.approx(-1.5 / Surroundings().velocity_scale)
     assert float((transport.radius - polytropic.radius).abs().max()) < 3e-4
@@ -177,7 +177,7 @@ def test_that_a_bubble_returns_to_rest_after_a_slow_pulse_of_tension(key: str, s
     conditions = Conditions(
         outer, PolytropicGas(1.4, "rest"), mixture, Medium(warm=False), RADIAL_EQUATIONS[key], driving=pulse
     )
-    simulator = TransportSimulator(conditions, Accuracy(1e-4, Resolution(8, 4)))
+    simulator = TransportSimulator(conditions, Accuracy(3e-4, Resolution(6, 4)))
     radius = simulator(gels, tensor(outer.weber(10e-6), 1.0 - 1e-9), times).radius
     assert float((radius[:, -1] - 1.0).abs().max()) < 1e-2
     assert bool((radius.amax(1) > 1.02).all())  # it did swell
@@ -209,9 +209,9 @@ def test_that_bad_options_are_named(call: Callable[[], object], message: str) ->
 
 def test_that_gradients_pass_through_a_tabulated_drive() -> None:
     """The solver's time depends on the gel, so the pressure must be differentiable in time."""
-    simulator = PolytropicSimulator(Conditions(driving=table(SINE, 3e-4, 61)), FINE)
+    simulator = PolytropicSimulator(Conditions(driving=table(SINE, 3e-4, 61)))
     parameters = gel(G=5e3, mu=0.05).requires_grad_()
-    designs, times = tensor(300.0, 0.3), grid(1.5, 8)
+    designs, times = tensor(300.0, 0.3), grid(1.0, 8)
 
     def total(p: Tensor) -> Tensor:
         return simulator(p, designs, times).radius.square().sum(-1)

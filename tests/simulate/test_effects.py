@@ -1,0 +1,253 @@
+"""Departures from the base physics: each nothing at its neutral value, something beyond it, and that what its name says."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+from torch import Tensor
+
+from imr_torch.material import PARAMETERS, Parameter
+from imr_torch.observe import distortion
+from imr_torch.simulate import (
+    Accuracy,
+    Conditions,
+    GasMixture,
+    GaussianPulse,
+    Medium,
+    PolytropicGas,
+    PolytropicSimulator,
+    RayleighPlesset,
+    Resolution,
+    SineDriving,
+    Solution,
+    TabulatedDriving,
+    TransportSimulator,
+    effects,
+)
+from imr_torch.simulate.bubbles import Bubbles
+from imr_torch.units import Surroundings
+from tests.simulate.bubble import FINE, SI, gel, grid, tensor
+
+BASE = {"G": 4e3, "mu": 0.08}
+DESIGN, TIMES = tensor(300.0, 0.3), grid(1.5, 31)
+BEYOND = {
+    "sound_speed": 0.5,
+    "surface_tension": 1.0,
+    "heat_exchange": 0.7,
+    "vapour_pressure": 0.05,
+    "far_field_pressure": 0.1,
+    "wall": 0.1,
+    "residual_velocity": 0.1,
+    "condensation": 0.5,
+    "gas_loss": 0.5,
+    "energy_loss": 0.5,
+    "sound_field": 0.2,
+    "sound_frequency": 1.0,
+    "sound_phase": 1.0,
+    "pulse": 0.3,
+    "pulse_time": 0.7,
+    "pulse_width": -1.0,
+    "damage": 0.5,
+    "yield_stress": 1e3,
+    "graded_modulus": 2.0,
+    "permanent_set": 0.1,
+}
+"""A value of each effect at which it can be seen."""
+BESIDE = {
+    "sound_frequency": {"sound_field": 0.2},
+    "sound_phase": {"sound_field": 0.2},
+    "pulse_time": {"pulse": 0.3},
+    "pulse_width": {"pulse": 0.3},
+    "shear_time": {"thinning": 0.4},
+    "thinning": {"shear_time": 2e-6},
+    "retardation": {"tau": 5e-6},
+}
+"""What has to be there for some to act."""
+
+
+def registered(module) -> set[str]:
+    return {entry.name for entry in vars(module).values() if isinstance(entry, Parameter)}
+
+
+CAMERA = registered(distortion)
+SEEN_BY_THE_BUBBLE = [name for name in PARAMETERS.names if name not in CAMERA]
+
+
+def simulators(conditions: Conditions | None = None) -> dict[str, PolytropicSimulator | TransportSimulator]:
+    conditions = conditions or Conditions()
+    return {
+        "polytropic": PolytropicSimulator(conditions),
+        "transport": TransportSimulator(conditions, Accuracy(3e-4, Resolution(6, 6))),
+    }
+
+
+BOTH = pytest.mark.parametrize("kind", ["polytropic", "transport"])
+
+
+def radii(kind: str, conditions: Conditions | None = None, **values: float) -> Tensor:
+    return simulators(conditions)[kind](gel(**BASE | values), DESIGN, TIMES).radius
+
+
+def test_that_every_effect_has_a_value_to_be_seen_at() -> None:
+    assert set(BEYOND) | set(SI) == set(SEEN_BY_THE_BUBBLE)
+    assert registered(effects) <= set(BEYOND)
+
+
+def bases_and_neighbours(*, acting: bool) -> Tensor:
+    """For every parameter a bubble that has what it needs, and beside it one where it acts (or another without)."""
+    rows = []
+    for name in PARAMETERS.names:
+        base = BASE | BESIDE.get(name, {})
+        value = BASE[name] * 1.5 if name in BASE else {**SI, **BEYOND}.get(name, 0.05)
+        rows += [gel(**base), gel(**base | {name: value}) if acting else gel(**base)]
+    return torch.stack(rows)
+
+
+@pytest.fixture(scope="module")
+def solutions() -> dict[str, list[Solution]]:
+    """Of either simulator: a batch in which nothing acts in any member, and one in which everything does in some."""
+    return {
+        kind: [simulator(bases_and_neighbours(acting=acting), DESIGN, TIMES) for acting in (False, True)]
+        for kind, simulator in simulators().items()
+    }
+
+
+def test_that_at_neutral_it_does_nothing_bit_for_bit_even_beside_bubbles_where_it_acts(solutions) -> None:
+    for without, among in (solutions["polytropic"],):
+        for entry in ("radius", "velocity", "bubble_pressure"):
+            assert torch.equal(getattr(without, entry)[::2], getattr(among, entry)[::2])
+
+
+def test_that_so_it_is_with_transport_up_to_rounding(solutions) -> None:
+    """Where members leave at different moments, and the machine rounds a batch of another size otherwise."""
+    without, among = solutions["transport"]
+    assert float((without.radius[::2] - among.radius[::2]).abs().max()) < 1e-10
+
+
+@BOTH
+@pytest.mark.parametrize("name", PARAMETERS.names)
+def test_that_beyond_it_does_something_unless_it_is_the_cameras(solutions, kind: str, name: str) -> None:
+    solution, row = solutions[kind][1], 2 * PARAMETERS.names.index(name)
+    assert bool(solution.ok[row : row + 2].all())
+    change = float((solution.radius[row] - solution.radius[row + 1]).abs().max())
+    assert (change == 0.0) if name in CAMERA else (change > 1e-4)
+
+
+# ---------------------------------------------------------------- each is what its name says
+
+
+@BOTH
+def test_that_sound_speed_is_that_of_the_surroundings(kind: str) -> None:
+    faster = Conditions(Surroundings(sound_speed=1430.0 * math.exp(-1.2)))
+    assert float((radii(kind, sound_speed=-1.2) - radii(kind, faster)).abs().max()) < 1e-9
+
+
+@BOTH
+def test_that_far_field_pressure_is_a_constant_drive(kind: str) -> None:
+    constant = Conditions(driving=TabulatedDriving((0.0, 1e-3, 2e-3), (0.1 * 101325.0,) * 3))
+    assert float((radii(kind, far_field_pressure=0.1) - radii(kind, constant)).abs().max()) < 1e-9
+
+
+@BOTH
+def test_that_residual_velocity_is_the_initial_velocity(kind: str) -> None:
+    moving = Conditions(initial_velocity=0.1 * Surroundings().velocity_scale)
+    assert float((radii(kind, residual_velocity=0.1) - radii(kind, moving)).abs().max()) < 1e-12
+
+
+@BOTH
+def test_that_the_sound_field_is_a_sine(kind: str) -> None:
+    second = float(Surroundings().time_scale(Surroundings().max_radius(DESIGN[0])))
+    sine = Conditions(driving=SineDriving(0.2 * 101325.0, math.exp(1.3) / (2.0 * math.pi * second), 0.6))
+    ours = radii(kind, sound_field=0.2, sound_frequency=1.3, sound_phase=0.6)
+    assert float((ours - radii(kind, sine)).abs().max()) < 1e-9
+
+
+@BOTH
+def test_that_the_pulse_is_gaussian(kind: str) -> None:
+    second = float(Surroundings().time_scale(Surroundings().max_radius(DESIGN[0])))
+    pulse = Conditions(driving=GaussianPulse(0.5 * 101325.0, 0.6 * second, math.exp(-1.5) * second))
+    assert float((radii(kind, pulse=0.5, pulse_time=0.6, pulse_width=-1.5) - radii(kind, pulse)).abs().max()) < 1e-9
+
+
+def test_that_vapour_pressure_is_that_of_a_warmer_liquid() -> None:
+    """Where temperature enters by the vapour alone: with polytropic gas."""
+    warm = Conditions(Surroundings(temperature=310.0))
+    excess = warm.saturation - Conditions().saturation
+    assert float((radii("polytropic", vapour_pressure=excess) - radii("polytropic", warm)).abs().max()) < 1e-12
+
+
+def test_that_surface_tension_acts_in_its_own_term_and_not_in_the_gas() -> None:
+    """Against SciPy: the gas was shut in under the tension of the design."""
+    weber, rest, factor = 20.0, 0.4, 0.8
+    gas = (1.0 + 1.0 / (weber * rest)) * rest**3
+
+    def rate(t: float, y: np.ndarray) -> list[float]:
+        r, u = y
+        return [u, (gas * r**-4.2 - math.exp(factor) / (weber * r) - 1.0 - 1.5 * u * u) / r]
+
+    times = grid(1.5, 16)
+    exact = solve_ivp(rate, (0.0, 1.5), [1.0, 0.0], t_eval=times.numpy(), rtol=1e-11, atol=1e-13, method="DOP853").y[0]
+    conditions = Conditions(gas=PolytropicGas(1.4, vapour=False), motion=RayleighPlesset())
+    solution = PolytropicSimulator(conditions, FINE)(gel(surface_tension=factor), tensor(weber, rest), times)
+    torch.testing.assert_close(solution.radius, torch.tensor(exact), rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("factor", "exponent"), [(6.0, 1.0), (-6.0, 1.4)], ids=["isothermal", "adiabatic"])
+def test_that_heat_exchange_leads_from_adiabatic_to_isothermal(factor: float, exponent: float) -> None:
+    """Of dry air in a cold gel, with conduction; and of the polytropic exponent itself."""
+    limit = Conditions(
+        gas=PolytropicGas(exponent, vapour=False), mixture=GasMixture(vapour="absent"), medium=Medium(warm=False)
+    )
+    expected = PolytropicSimulator(limit)(gel(**BASE), tensor(300.0, 0.7), TIMES).radius
+    steps = torch.stack([gel(**BASE, heat_exchange=f) for f in (0.0, 0.5 * factor, factor)])
+    radius = TransportSimulator(limit, Accuracy(1e-4, Resolution(24, 4)))(steps, tensor(300.0, 0.7), TIMES).radius
+    errors = (radius - expected).abs().amax(1).tolist()
+    assert errors[0] > 2.0 * errors[1] > 4.0 * errors[2]
+    assert errors[2] < 5e-3
+    exponents = Bubbles.of(steps, DESIGN.expand(3, 2), Conditions())["exponent"]
+    assert float(exponents[0]) == 1.3
+    assert float(exponents[2]) == pytest.approx(exponent, abs=4e-3)
+    assert bool((exponents.diff() * (exponent - 1.3) > 0.0).all())
+
+
+@pytest.mark.parametrize("strength", [-0.2, 0.3])
+def test_that_a_mirror_bubble_adds_to_the_mass_that_moves(strength: float) -> None:
+    """The pressure of the mirror image at the wall is ``b d(R^2 U)/dt``: ``omega^2`` falls to ``omega^2/(1 + b)``."""
+    rest, weber = 1.0 - 1e-4, 500.0
+    stiffness = 3.0 * 1.4 * (1.0 + 1.0 / (weber * rest)) - 1.0 / (weber * rest)
+    conditions = Conditions(gas=PolytropicGas(1.4, "rest", vapour=False), motion=RayleighPlesset())
+    radius = PolytropicSimulator(conditions, FINE)(gel(wall=strength), tensor(weber, rest), grid(6.0)).radius
+    omega = math.sqrt(stiffness / (1.0 + strength))
+    torch.testing.assert_close((radius - rest) / (1.0 - rest), torch.cos(omega * grid(6.0)), rtol=0.0, atol=2e-3)
+
+
+def test_that_fully_trapped_vapour_is_a_gas() -> None:
+    conditions = Conditions(gas=PolytropicGas(1.3))
+    solution = PolytropicSimulator(conditions)(gel(**BASE, condensation=1.0), DESIGN, TIMES)
+    torch.testing.assert_close(
+        solution.bubble_pressure, solution.bubble_pressure[0] * solution.radius**-3.9, rtol=1e-9, atol=0.0
+    )
+
+
+def test_that_gas_is_lost_along_the_path_below_rest() -> None:
+    """``n_end/n = exp(-eta int |dR|/R (1 - R/R_inf)^2)`` down and up, whatever the speed."""
+    conditions, eta = Conditions(gas=PolytropicGas(1.4, vapour=False)), 0.4
+    times = grid(1.5, 6001)
+    solution = PolytropicSimulator(conditions, FINE)(gel(**BASE, gas_loss=eta), DESIGN, times)
+    amount = solution.bubble_pressure * solution.radius**4.2
+    depth = 0.3 / float(solution.radius.min())
+    path = math.log(depth) - 2.0 * (1.0 - 1.0 / depth) + 0.5 * (1.0 - 1.0 / depth**2)
+    expected = math.exp(-2.0 * eta * path)
+    assert depth > 2.0
+    assert float(amount[-1] / amount[0]) == pytest.approx(expected, rel=2e-3)
+    assert bool((amount.diff() < 1e-9).all())
+
+
+@BOTH
+def test_that_energy_lost_lowers_every_rebound_and_leaves_the_fall_to_rest_nearly_alone(kind: str) -> None:
+    gels = torch.stack([gel(**BASE, energy_loss=x) for x in (0.0, 0.3, 1.0)])
+    radius = simulators()[kind](gels, DESIGN, grid(1.8, 181)).radius
+    assert bool((radius[:, 110:].amax(1).diff() < -0.01).all())
+    assert float((radius[:, :80] - radius[:1, :80]).abs().max()) < 0.02

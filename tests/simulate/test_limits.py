@@ -1,0 +1,195 @@
+"""Closures and materials together: rest, small oscillations of gels with memory, limits of relaxation, energy."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import simpson
+from scipy.linalg import expm
+from torchdiffeq import odeint
+
+from imr_torch.material import MATERIALS
+from imr_torch.simulate import (
+    RADIAL_EQUATIONS,
+    Accuracy,
+    Conditions,
+    GasMixture,
+    KellerMiksis,
+    Medium,
+    PolytropicGas,
+    PolytropicSimulator,
+    RayleighPlesset,
+    Resolution,
+    TransportSimulator,
+)
+from imr_torch.simulate.bubbles import Bubbles
+from imr_torch.simulate.ode_method import METHOD, TransportField
+from imr_torch.simulate.rhs import HEAD, Equations
+from imr_torch.units import Surroundings
+from tests.simulate.bubble import FINE, gel, gel_of, grid, tensor
+
+VAPOUR = ("transported", "constant", "frozen", "absent")
+EVERY_GEL = torch.stack([gel_of(model) for model in MATERIALS])
+WARMTH = pytest.mark.parametrize("warm", [True, False], ids=["warm", "cold"])
+MOTIONS = pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
+
+
+def closure(vapour: str, warm: bool, motion=RADIAL_EQUATIONS["keller_miksis"]) -> Conditions:
+    gas = PolytropicGas(1.3, "rest", vapour != "absent")
+    return Conditions(gas=gas, mixture=GasMixture(vapour=vapour), medium=Medium(warm=warm), motion=motion)  # type: ignore[arg-type]
+
+
+@MOTIONS
+@WARMTH
+@pytest.mark.parametrize("vapour", VAPOUR)
+def test_that_nothing_changes_at_rest(vapour: str, warm: bool, motion) -> None:
+    """The whole right-hand side vanishes at ``R_inf``, ``T = 1``, the pressure that balances surface and far field."""
+    designs = tensor(550.0, 0.22).expand(len(EVERY_GEL), 2)
+    equations = Equations(Bubbles.of(EVERY_GEL, designs, closure(vapour, warm, motion)), *Resolution(6, 6).grids())
+    state = equations.start()
+    state[0] = 0.22
+    state[2] = torch.log(1.0 + 1.0 / (550.0 * 0.22) - equations.bubbles["constant_vapour"])
+    state[HEAD + equations.n : HEAD + 2 * equations.n] = equations.fields(state).wall.vapour
+    state[HEAD + 2 * equations.n + equations.m :] = 0.0
+    assert float(equations.rate(equations.fields(state)).abs().max()) < 1e-8
+
+
+@WARMTH
+@pytest.mark.parametrize("vapour", VAPOUR)
+def test_that_every_gel_released_at_rest_stays_put(vapour: str, warm: bool) -> None:
+    """One batch of all models, with each closure another radial equation."""
+    motion = list(RADIAL_EQUATIONS.values())[VAPOUR.index(vapour)]
+    simulator = TransportSimulator(closure(vapour, warm, motion), Accuracy(1e-4, Resolution(6, 6)))
+    solution = simulator(EVERY_GEL, tensor(300.0, 1.0 - 1e-12), grid(4.0, 9))
+    assert bool(solution.ok.all())
+    assert float((solution.radius - 1.0).abs().max()) < 1e-9
+    assert float(solution.velocity.abs().max()) < 1e-9
+
+
+@MOTIONS
+def test_that_so_it_does_with_polytropic_gas(motion) -> None:
+    solution = PolytropicSimulator(closure("absent", False, motion))(EVERY_GEL, tensor(300.0, 1.0 - 1e-12), grid(4.0, 9))
+    assert float((solution.radius - 1.0).abs().max()) < 1e-10
+
+
+# ---------------------------------------------------------------- small oscillations with memory
+
+LINEAR = {
+    "maxwell": {"mu": 0.3, "tau": 2e-5},
+    "zener": {"mu": 0.3, "tau": 2e-5, "retardation": 0.3, "G": 1e4},
+    "ucm": {"mu": 0.3, "tau_ucm": 1e-5, "retardation": 0.2},
+    "sls": {"mu": 0.2, "tau_sls": 3e-5, "G_lin": 2e4},
+    "sns": {"mu": 0.2, "tau_sns": 3e-5, "G": 2e4},
+}
+
+
+def linear_gel(key: str, values: dict[str, float], unit: float, rest: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Rows of the linear gel in ``(x, x', m)``: ``S`` without its part in ``x'``, ``m'``, and the friction at once."""
+    s = Surroundings()
+    g = (values.get("G", 0.0) + values.get("G_lin", 0.0)) / s.far_field_pressure
+    mu = values["mu"] / (s.far_field_pressure * unit)
+    de = next(v for k, v in values.items() if k.startswith("tau")) / unit
+    share = values.get("retardation", 0.0)
+    if key in ("sls", "sns"):  # the state is the whole stress
+        return np.array([0.0, 0.0, 1.0]), np.array([-4.0 * g, -4.0 * mu - 4.0 * g * de, -rest * 1.0]) / (rest * de), 0.0
+    rate = np.array([0.0, -4.0 * mu * (1.0 - share) / rest, -1.0]) / de
+    return np.array([-4.0 * g / rest, 0.0, 1.0]), rate, 4.0 * mu * share / rest
+
+
+@pytest.mark.parametrize("key", LINEAR)
+@pytest.mark.parametrize("sound", [1e9, 150.0], ids=["incompressible", "compressible"])
+def test_that_a_gel_with_memory_has_its_third_order_small_oscillation(key: str, sound: float) -> None:
+    """``R_e x'' = (1 + (R_e/c) d/dt)(-k x + S)`` beside one relaxing state: a cubic characteristic equation, solved as the
+    exponential of its companion matrix.
+    """
+    values, rest, weber = LINEAR[key], 1.0 - 1e-4, 300.0
+    outer = Surroundings(sound_speed=sound)
+    unit = outer.time_scale(outer.max_radius(weber))
+    gas = 1.0 + 1.0 / (weber * rest)
+    k = (3.0 * 1.3 * gas - 1.0 / (weber * rest)) / rest
+    stress, rate, friction = linear_gel(key, values, unit, rest)
+    delay = rest * outer.velocity_scale / sound
+    pull = stress + np.array([-k, 0.0, 0.0])
+    force = pull + np.array([0.0, -friction, 0.0]) + delay * (pull[0] * np.array([0.0, 1.0, 0.0]) + pull[2] * rate)
+    matrix = np.stack([np.array([0.0, 1.0, 0.0]), force / (rest + delay * friction), rate])
+    start = np.array([1.0, 0.0, 0.0])
+    if key in ("sls", "sns"):
+        start[2] = -4.0 * values.get("G", values.get("G_lin", 0.0)) / outer.far_field_pressure / rest  # relaxed at the maximum
+    t = grid(6.0, 61)
+    x = torch.tensor([(expm(matrix * float(s)) @ start)[0] for s in t])
+    assert np.iscomplex(np.linalg.eigvals(matrix)).any()
+    conditions = Conditions(outer, PolytropicGas(1.3, "rest", vapour=False), motion=KellerMiksis())
+    radius = PolytropicSimulator(conditions, FINE)(gel(**values), tensor(weber, rest), t).radius
+    torch.testing.assert_close((radius - rest) / (1.0 - rest), x, rtol=0.0, atol=2e-3)
+
+
+# ---------------------------------------------------------------- limits of relaxation
+
+COLD = closure("absent", False)
+EXACT = TransportSimulator(COLD, Accuracy(1e-6, Resolution(6, 4)))
+MILD = tensor(300.0, 0.4)
+
+
+def radii(*gels: dict[str, float]) -> torch.Tensor:
+    return EXACT(torch.stack([gel(**g) for g in gels]), MILD, grid(1.3, 27)).radius
+
+
+@pytest.mark.parametrize(("name", "states"), [("tau", 1), ("tau_ucm", 2), ("tau_sns", 1), ("tau_sls", 1)])
+def test_that_fast_relaxation_is_no_memory_to_first_order_in_its_time(name: str, states: int) -> None:
+    """Zener, upper-convected Maxwell and both standard solids against the same gel without memory."""
+    base = {"mu": 0.08} | ({"G_lin": 6e3} if name == "tau_sls" else {} if name == "tau_ucm" else {"G": 6e3})
+    curves = radii(base, *(base | {name: t} for t in (1.2e-7, 6e-8, 3e-8)))
+    errors = [float((curve - curves[0]).abs().max()) for curve in curves[1:]]
+    assert errors[0] < 0.03
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.15)
+    assert errors[1] / errors[2] == pytest.approx(2.0, rel=0.1)
+
+
+def test_that_slow_relaxation_leaves_the_spring_alone() -> None:
+    """A Maxwell branch that never relaxes carries ``1/De`` of its viscosity: Zener becomes neo-Hookean."""
+    elastic = {"G": 6e3}
+    curves = radii(elastic, *(elastic | {"mu": 0.08, "tau": t} for t in (0.05, 0.1)))
+    errors = [float((curve - curves[0]).abs().max()) for curve in curves[1:]]
+    assert errors[1] < 5e-3
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.1)
+
+
+def test_that_full_retardation_is_no_memory() -> None:
+    base = {"G": 6e3, "mu": 0.08}
+    curves = radii(base, base | {"tau": 1e-5, "retardation": 1.0}, base | {"tau_ucm": 1e-5, "retardation": 1.0})
+    assert float((curves - curves[0]).abs().max()) < 1e-5
+
+
+# ---------------------------------------------------------------- energy
+
+
+@pytest.mark.parametrize("vapour", ["absent", "constant"])
+def test_that_energy_is_kept_when_the_heat_that_leaves_is_counted(vapour: str) -> None:
+    """Of liquid, far field, surface, elastic gel and gas, ``p R^3/(3(k-1))``; heat leaves at ``chi tau'(1) R``."""
+    conditions = Conditions(mixture=GasMixture(vapour=vapour), medium=Medium(warm=False), motion=RayleighPlesset())  # type: ignore[arg-type]
+    parameters, designs = gel(G=5e3)[None], tensor(300.0, 0.45)[None]
+    field = TransportField(parameters, designs, conditions=conditions, resolution=Resolution(12, 4))
+    times = torch.linspace(0.0, 2.0, 241, dtype=torch.float64)
+    states = odeint(field, field.start(), times, method=METHOD, rtol=1e-6)
+    fields = field.equations.fields(states[:, :, 0].T)
+    b, l = field.equations.bubbles, fields.radius / 0.45  # noqa: E741
+    vapour_work = float(b["constant_vapour"]) * fields.radius**3 / 3.0
+    stored = fields.pressure * fields.radius**3 / (3.0 * 0.4) - vapour_work
+    spring = 0.5 * float(b.theta["G"]) * 0.45**3 * (5.0 / 3.0 * l**3 - 2.0 * l**2 + l**-1 - 2.0 / 3.0)
+    liquid = 0.5 * fields.radius**3 * fields.velocity**2 + fields.radius**3 / 3.0 + fields.radius**2 / 600.0
+    heat = float(b["chi"]) * fields.slopes[0, 0] * fields.radius
+    lost = -np.array([simpson(heat[: i + 1].numpy(), x=times[: i + 1].numpy()) for i in range(0, 241, 30)])
+    total = (stored + spring + liquid)[::30].numpy() + lost
+    assert np.abs(total - total[0]).max() < 2e-5
+    assert lost.max() > 1e-3
+    assert float(fields.velocity.abs().max()) > 0.5
+
+
+def test_that_the_spring_of_the_energy_balance_is_the_neo_hookean_stress() -> None:
+    """``dW/dR = -S R^2``: the closed form used above, against the stress by differentiation."""
+    radius = torch.linspace(0.2, 1.0, 9, dtype=torch.float64, requires_grad=True)
+    l = radius / 0.45  # noqa: E741
+    spring = 0.5 * 0.05 * 0.45**3 * (5.0 / 3.0 * l**3 - 2.0 * l**2 + l**-1 - 2.0 / 3.0)
+    (slope,) = torch.autograd.grad(spring.sum(), radius)
+    theta = {"G": torch.tensor(0.05, dtype=torch.float64)}
+    stress = MATERIALS["nhe"].stress(radius.detach(), 0.0 * radius.detach(), torch.full((9,), 0.45, dtype=torch.float64), theta)
+    torch.testing.assert_close(slope, -stress.value * radius.detach() ** 2, rtol=1e-12, atol=1e-15)
