@@ -13,7 +13,7 @@ import torch
 from imr_torch.characterize import prepare
 from imr_torch.gap import LIBRARY, describe, diagnose, examine, library, noise_of_traces, plots, to_json, write_page
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import Nuisance, SimulatedLaboratory, load_traces
+from imr_torch.observe import SimulatedLaboratory, load_traces
 from imr_torch.simulate import PolytropicSimulator, TransportSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
@@ -38,9 +38,8 @@ for effect in LIBRARY.values():
 # %%
 simulator = PolytropicSimulator()
 secret = PARAMETERS.pack({"G": 8000.0, "mu": 0.08, "sound_speed": 0.5})
-nuisance = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
 times = torch.linspace(0.0, 2.6, 53, dtype=torch.float64)
-laboratory = SimulatedLaboratory(simulator, secret, repeats=10, nuisance=nuisance, times=times)
+laboratory = SimulatedLaboratory(simulator, secret, repeats=10, times=times)
 designs = torch.tensor([[200.0, 0.20], [600.0, 0.17], [400.0, 0.25]], dtype=torch.float64)[: 2 if SMOKE else 3]
 experiments = [laboratory.shoot(design, seed=i) for i, design in enumerate(designs)]
 offered = library(("sound_speed", "rinf_bias", "strain_stiffening") if SMOKE else None)
