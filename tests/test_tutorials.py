@@ -12,7 +12,7 @@ TUTORIALS = sorted((ROOT / "tutorials").glob("[0-9]*.py"))
 
 
 def test_there_are_tutorials():
-    assert len(TUTORIALS) >= 3
+    assert len(TUTORIALS) >= 4
 
 
 @pytest.mark.parametrize("path", TUTORIALS, ids=lambda path: path.stem)
