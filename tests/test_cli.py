@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from imr_torch.cli import COMMANDS, main
+from imr_torch.cli import COMMANDS, main, parser
+from imr_torch.cli.common import simulator_of
 from imr_torch.material import reference_case
+from imr_torch.simulate import ParallelSimulator, TransportSimulator
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "tutorials" / "data" / "example_gel.csv"
 TRUTH = {"G": 8310.0, "mu": 0.093}
@@ -132,6 +134,14 @@ def test_a_saved_belief_is_the_prior_of_the_next_design(tmp_path):
     assert json.loads((tmp_path / "a.json").read_text()) == json.loads((tmp_path / "b.json").read_text())
 
 
+def test_workers_share_the_bubbles_of_a_design():
+    simulator = simulator_of(parser().parse_args(["design", "--physics", "transport", "--workers", "3"]))
+    assert isinstance(simulator, ParallelSimulator)
+    assert isinstance(simulator.simulator, TransportSimulator)
+    alone = simulator_of(parser().parse_args(["design", "--physics", "transport"]))
+    assert isinstance(alone, TransportSimulator)
+
+
 TABLE = "experiment_id,time_s,radius_m\n"
 CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i in range(40))
 
@@ -155,6 +165,7 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
         (["simulate", "--set", "G=1e4,mu=0.1", "--rinf", "1.0"], r"\(300, 1\): expected We > 0 and 0 < R_inf\* < 1"),
         (["simulate", "--set", "G=1e4,mu=0.1", "--frames", "1"], "--frames is 1"),
         (["design", "--case", "soft-pa", "--we-range", "900:100"], r"weber is \(900.0, 100.0\); expected 0 < lower < upper"),
+        (["design", "--case", "soft-pa", "--workers", "0"], "--workers is 0; expected at least 1"),
         (["design", "--case", "soft-pa", "--belief", "x.json"], "--belief and --case both name a prior"),
         (["campaign", "--case", "soft-pa", "--out", "{folder}", "--designs", "0"], "--designs is 0; expected at least 1"),
         (["campaign", "--case", "soft-pa", "--out", "{folder}", "--resume"], "holds no journal to resume"),

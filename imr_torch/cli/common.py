@@ -18,6 +18,7 @@ from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, Simulator
 from imr_torch.types import Progress
 
 SIMULATORS: dict[str, Callable[[], Simulator]] = {"polytropic": PolytropicSimulator, "transport": TransportSimulator}
+_CHUNK = 128  # a design's information gain takes some four hundred bubbles
 DEFAULT_MODELS = "newtonian,nhkv,gen_qkv"
 
 
@@ -60,7 +61,7 @@ def simulator_of(args: argparse.Namespace) -> Simulator:
     simulator, workers = SIMULATORS[args.physics](), getattr(args, "workers", 1)
     if workers < 1:
         raise InputDataError(f"--workers is {workers}; expected at least 1.")
-    return simulator if workers == 1 else ParallelSimulator(simulator, partial(process_pool, workers))
+    return simulator if workers == 1 else ParallelSimulator(simulator, partial(process_pool, workers), chunk=_CHUNK)
 
 
 def prior_of(args: argparse.Namespace) -> Belief:

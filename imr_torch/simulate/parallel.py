@@ -60,7 +60,7 @@ class ParallelSimulator:
             ``functools.partial(process_pool, 4)``. A pool of processes breaks when a worker dies: only with a function can
             it be replaced. What the function made is kept for later calls, and shut down by :meth:`close` or at the end of
             a ``with`` block.
-        chunk: members sent together; whole bundles.
+        chunk: members sent together; whole bundles. Small chunks keep many workers busy and cost more a bubble.
         retries: how often a chunk that failed is tried again.
         progress: called with a line per chunk.
 
@@ -73,7 +73,7 @@ class ParallelSimulator:
         simulator: Simulator,
         executor: Executor | Callable[[], Executor],
         *,
-        chunk: int = 250,
+        chunk: int = 500,
         retries: int = 2,
         progress: Progress | None = None,
     ) -> None:
