@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from imr_torch.errors import UnsupportedError
 from imr_torch.material import MATERIALS, PARAMETERS
@@ -28,8 +29,8 @@ MODELS: dict[str, tuple[str, dict[str, str]]] = {
 """The set's models: key in the registry, and which entry of a case is which parameter."""
 
 
-def radius(case: Mapping[str, Any], t_star: np.ndarray) -> np.ndarray:
-    """``R*`` at ``t_star``, same shape, of a case with the keys of the published set plus ``preset`` and ``grid``.
+def parameter_vector(case: Mapping[str, Any]) -> Tensor:
+    """The parameter vector of a case with the keys of the published set.
 
     Raises:
         UnsupportedError: for a constitutive model that is not in the registry.
@@ -38,8 +39,12 @@ def radius(case: Mapping[str, Any], t_star: np.ndarray) -> np.ndarray:
     key, columns = MODELS.get(model, (model, {"G": "G_Pa", "mu": "mu_Pa_s", "alpha": "alpha"}))
     if key not in MATERIALS or not set(MATERIALS[key].names) <= set(columns):
         raise UnsupportedError(f"Model {model!r} is not in the registry; known are {', '.join(MODELS)}.")
-    parameters = PARAMETERS.pack({name: float(case[columns[name]]) for name in MATERIALS[key].names})
+    return PARAMETERS.pack({name: float(case[columns[name]]) for name in MATERIALS[key].names})
+
+
+def radius(case: Mapping[str, Any], t_star: np.ndarray) -> np.ndarray:
+    """``R*`` at ``t_star``, same shape, of a case with the keys of the published set plus ``preset`` and ``grid``."""
     designs = torch.tensor([case["We"], case["Rinf_star"]], dtype=torch.float64)
     simulator = TransportSimulator(preset(case.get("preset", "published")), GRIDS[case.get("grid", "converged")])
     times = torch.as_tensor(np.asarray(t_star, dtype=np.float64))
-    return simulator(parameters, designs, times).radius.numpy()
+    return simulator(parameter_vector(case), designs, times).radius.numpy()
