@@ -31,7 +31,7 @@ from imr_torch.types import Progress
 
 _DAMPINGS = (0.0, 1.0, 30.0)  # tried together, times the current damping
 _STUCK = 1e4  # damping at which nothing lowers the cost any more
-_LONGEST_STEP = 8.0  # prior standard deviations
+_LONGEST_STEP = 4.0  # prior standard deviations
 _SIDE = 1e-4  # prior standard deviations by which nuisances are moved for their sensitivity
 _NEAR = 1.0  # posterior standard deviations from a minimum at which a chain keeps its leader
 _RESTART = 0.25  # prior standard deviations
@@ -261,6 +261,8 @@ class _Search:
     def _predict_led(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
         """Predictions ``C x N x E x T`` of ``N`` points of each chain, behind its leader or, where it has none, each alone."""
         led = self.led[chains, None]
+        if not bool(led.any()):
+            return self._predict(self.model[chains], gel, nuisances)
         gel_leader = torch.where(led[..., None], self.leader_gel[chains, None], gel)
         nuisance_leader = torch.where(led[..., None, None], self.leader_nuisances[chains, None], nuisances)
         pairs = torch.stack((gel_leader, gel), 2), torch.stack((nuisance_leader, nuisances), 2)

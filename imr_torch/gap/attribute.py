@@ -25,7 +25,7 @@ PRIOR_NONE, PRIOR_OTHER = 0.5, 0.1
 ADEQUATE = 0.01
 """Below this ``p_ad`` the winner leaves a gap, and the verdict is a further effect or "other"."""
 
-_ROUND = 6  # effects refitted together
+_ROUND = 12  # effects refitted together
 _BEHIND = 8.0  # nats by which the best possible evidence of the rest must lag for refitting to stop
 _LOOSE = EnsembleOptions(iterations=25, hopeless=12.0)
 
@@ -135,7 +135,7 @@ def _refit(
     best = laplace_evidence(null)
     while waiting:
         # the score is what an effect can gain to first order; twice that is allowed for what is not
-        if len(fits) > 2 * _ROUND and laplace_evidence(null) + score.get(waiting[0].name, 0.0) < best - _BEHIND:
+        if len(fits) > _ROUND and laplace_evidence(null) + score.get(waiting[0].name, 0.0) < best - _BEHIND:
             break
         leading, waiting = waiting[:_ROUND], waiting[_ROUND:]
         if progress:

@@ -114,7 +114,7 @@ def fit_hypotheses(
     options: EnsembleOptions | None = None,
     progress: Progress | None = None,
 ) -> dict[str, ModelFit]:
-    """Fit hypotheses from the null fit; those of one size and as many starts are fitted in one batch.
+    """Fit hypotheses from the null fit; those of as many starts are fitted in one batch.
 
     Args:
         hypotheses: what to fit.
@@ -129,12 +129,12 @@ def fit_hypotheses(
     Returns:
         Name of the hypothesis -> fit.
     """
-    groups: dict[tuple[int, int], list[tuple[Hypothesis, Tensor]]] = {}
+    groups: dict[int, list[tuple[Hypothesis, Tensor]]] = {}
     for hypothesis in hypotheses:
         rows = hypothesis.starts(null, (starts or {}).get(hypothesis.effects[-1].name))
-        groups.setdefault((rows.shape[0], rows.shape[1]), []).append((hypothesis, rows))
+        groups.setdefault(len(rows), []).append((hypothesis, rows))
     fits: dict[str, ModelFit] = {}
-    for (count, _), pairs in groups.items():
+    for count, pairs in groups.items():
         members = [hypothesis for hypothesis, _ in pairs]
         beliefs = tuple(h.belief for h in members)
         belief = Belief(beliefs, torch.zeros(len(beliefs), dtype=torch.float64))

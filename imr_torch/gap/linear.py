@@ -63,6 +63,8 @@ def controls_of(fit: ModelFit, values: dict[str, float] | None = None) -> Tensor
 
 def curves(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, changes: Sequence[dict[str, float]]) -> Tensor:
     """Predictions at the fit with parameters changed, one row a change: ``K x E x T``; NaN where a solve failed."""
+    if not changes:
+        return torch.empty(0, *batch.times.shape, dtype=torch.float64)
     parameters = torch.stack([controls_of(fit, change) for change in changes])
     shifts = (fit.nuisances * batch.nuisance_sds).expand(len(changes), -1, -1)
     return predict(simulator, parameters, batch, shifts)

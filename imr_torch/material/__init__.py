@@ -18,7 +18,7 @@ from imr_torch.material.integral import (
 from imr_torch.material.marginals import LogNormal, Marginal, Quantile, TruncatedNormal
 from imr_torch.material.models import MATERIALS, Material, material, materials, register
 from imr_torch.material.parameters import PARAMETERS, Parameter, dimensionless
-from imr_torch.material.stress import AnyTerm, MemoryTerm, Stress, StressSlopes, StressTerm
+from imr_torch.material.stress import AnyTerm, MemoryTerm, Stress, StressSlopes, StressTerm, remembers
 
 __all__ = [
     "CASES",
@@ -53,6 +53,7 @@ __all__ = [
     "reference_case",
     "register",
     "register_term",
+    "remembers",
     "response_slopes",
     "stress_integral",
     "wide_prior",

@@ -22,7 +22,7 @@ from imr_torch.material.elastic import (
 )
 from imr_torch.material.memory import MaxwellBranch, OldroydB, StandardLinearSolid, StandardNonlinearSolid
 from imr_torch.material.parameters import PARAMETERS
-from imr_torch.material.stress import AnyTerm, MemoryTerm, Stress, StressSlopes
+from imr_torch.material.stress import AnyTerm, Stress, StressSlopes, remembers
 from imr_torch.material.viscous import CarreauThinning, NewtonianViscosity
 
 TERMS: list[AnyTerm] = [
@@ -67,12 +67,12 @@ def active_terms(theta: Mapping[str, Tensor], terms: Sequence[AnyTerm] | None = 
 
 def memory_states(terms: Sequence[AnyTerm]) -> int:
     """How many memory states the terms carry together."""
-    return sum(term.states for term in terms if isinstance(term, MemoryTerm))
+    return sum(term.states for term in terms if remembers(term))
 
 
 def memory_start(terms: Sequence[AnyTerm], rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Tensor:
     """Memory states at time zero, ``K x B``; ``rest_radius`` is a ``B`` tensor."""
-    parts = [term.start(rest_radius, theta) for term in terms if isinstance(term, MemoryTerm)]
+    parts = [term.start(rest_radius, theta) for term in terms if remembers(term)]
     return torch.cat(parts) if parts else rest_radius.new_zeros(0, *rest_radius.shape)
 
 
@@ -121,7 +121,7 @@ def memory_rate(
     rates = [
         term.memory_rate(radius, velocity, rest_radius, theta, states[0])
         for term, states in _with_memory(terms, memory)
-        if isinstance(term, MemoryTerm)
+        if remembers(term)
     ]
     return torch.cat(rates) if rates else torch.zeros_like(memory)
 
@@ -142,7 +142,7 @@ def response_slopes(
     by_memory: list[Response] = []
     gel = (radius, velocity, rest_radius, theta)
     for term, states in _with_memory(terms, memory):
-        if not isinstance(term, MemoryTerm):
+        if not remembers(term):
             slopes = getattr(term, "slopes", None)
             total = total + (slopes(*gel) if slopes else automatic_slopes(term, *gel))
             continue
@@ -170,13 +170,13 @@ def _differentiate(
     term: AnyTerm, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor
 ) -> tuple[list[Stress], list[Tensor]]:
     """Derivatives of a term in R, U and each memory state of its own: of its stress, and of its memory's rates."""
-    states = (memory,) if isinstance(term, MemoryTerm) else ()
+    states = (memory,) if remembers(term) else ()
 
     def evaluate(radius: Tensor, velocity: Tensor, memory: Tensor) -> Tensor:
         own = (memory,) if states else ()
         stress = term(radius, velocity, rest_radius, theta, *own)
         rows = torch.stack(torch.broadcast_tensors(stress.value, stress.rate, stress.acceleration, radius)[:3])
-        if not isinstance(term, MemoryTerm):
+        if not remembers(term):
             return rows
         return torch.cat((rows, term.memory_rate(radius, velocity, rest_radius, theta, memory)))
 
@@ -210,7 +210,7 @@ def _with_memory(terms: Sequence[AnyTerm], memory: Tensor | None) -> Iterator[tu
     """Each term with the tuple of what it takes of ``memory``: nothing, or its own ``states x B`` rows."""
     start = 0
     for term in terms:
-        if isinstance(term, MemoryTerm):
+        if remembers(term):
             if memory is None:
                 raise InputDataError(f"{type(term).__name__} has memory; its states must be given.")
             yield term, (memory[start : start + term.states],)

@@ -9,9 +9,10 @@ dimensionless (pressures over ``p_inf``).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar, Protocol
 
 from torch import Tensor
+from typing_extensions import TypeIs
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,6 @@ class StressTerm(Protocol):
         ...
 
 
-@runtime_checkable
 class MemoryTerm(Protocol):
     """A term with memory: ``states`` numbers a member that follow rates of their own.
 
@@ -85,6 +85,11 @@ class MemoryTerm(Protocol):
 
 
 AnyTerm = StressTerm | MemoryTerm
+
+
+def remembers(term: AnyTerm) -> TypeIs[MemoryTerm]:
+    """Whether a term has memory; asked at every step, where ``isinstance`` of a protocol takes a tenth of a small batch."""
+    return hasattr(term, "states")
 
 
 @dataclass(frozen=True)

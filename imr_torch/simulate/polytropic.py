@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torchdiffeq import odeint
 
-from imr_torch.material import AnyTerm, MemoryTerm
+from imr_torch.material import AnyTerm, remembers
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import interpolate, time_per_tick
 from imr_torch.simulate.conditions import Conditions, Stepping
@@ -139,7 +139,7 @@ def _field(bubbles: Bubbles):
     theta = bubbles.theta
     stiffness = 4.0 * theta["mu"]
     elastic = 2.0 * theta["G"] * (1.0 + theta["alpha"].abs()) + 2.0 * theta["G_lin"]
-    fading = [term.fastest(theta) for term in bubbles.terms if isinstance(term, MemoryTerm)]
+    fading = [term.fastest(theta) for term in bubbles.terms if remembers(term)]
     relaxation = torch.stack(fading).amax(0) if fading else None
 
     def rate(_: Tensor, state: Tensor) -> Tensor:

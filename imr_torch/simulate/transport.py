@@ -36,7 +36,7 @@ class Accuracy:
 
     tolerance: float = 3e-4
     resolution: Resolution = field(default_factory=Resolution)
-    max_steps: int = 20000
+    max_steps: int = 2000
     slots: int = 500
 
     def __post_init__(self) -> None:

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from imr_torch.material import PARAMETERS, AnyTerm, Material, MemoryTerm, Stress, memory_states
+from imr_torch.material import PARAMETERS, AnyTerm, Material, Stress, memory_states, remembers
 
 VALUES = {
     "G": 0.08,
@@ -41,7 +41,7 @@ def values_of(model: Material) -> dict[str, float]:
 
 
 def has_memory(model: Material) -> bool:
-    return any(isinstance(term, MemoryTerm) for term in model.terms)
+    return any(remembers(term) for term in model.terms)
 
 
 def memory_of(terms: tuple[AnyTerm, ...] | list[AnyTerm], *shape: int) -> Tensor:

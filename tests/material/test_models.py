@@ -11,7 +11,6 @@ from imr_torch.material import (
     PARAMETERS,
     TERMS,
     Material,
-    MemoryTerm,
     active_terms,
     material,
     materials,
@@ -19,6 +18,7 @@ from imr_torch.material import (
     memory_start,
     register,
     register_term,
+    remembers,
     stress_integral,
 )
 from imr_torch.material.elastic import NeoHookeanElasticity
@@ -111,7 +111,7 @@ def test_that_a_model_inside_the_full_set_of_terms_is_the_model_alone(model: Mat
     own = {type(term) for term in model.terms}
     rows, start = [], 0
     for term in TERMS:
-        if isinstance(term, MemoryTerm):
+        if remembers(term):
             rows += list(range(start, start + term.states)) if type(term) in own else []
             start += term.states
     memory = 0.0 * memory_of(TERMS)  # where members of other models start, and stay
@@ -131,7 +131,7 @@ def test_that_a_batch_of_mixed_models_equals_its_members_alone() -> None:
     radius = torch.linspace(0.2, 1.0, len(models), dtype=torch.float64)
     velocity = torch.linspace(-2.0, 2.0, len(models), dtype=torch.float64)
     terms = active_terms(theta)
-    memory = torch.zeros(sum(t.states for t in terms if isinstance(t, MemoryTerm)), len(models), dtype=torch.float64)
+    memory = torch.zeros(sum(t.states for t in terms if remembers(t)), len(models), dtype=torch.float64)
     mixed = stress_integral(terms, radius, velocity, torch.full_like(radius, REST), theta, memory)
     for i, model in enumerate(models):
         alone = evaluate(model, radius[i], velocity[i], values_of(model), 0.0 * memory_of(model.terms))
@@ -151,11 +151,11 @@ def test_that_only_terms_that_act_are_active(name: str) -> None:
 @pytest.mark.parametrize("term", TERMS, ids=lambda term: type(term).__name__)
 def test_that_a_term_is_switched_off_by_its_switch_alone(term) -> None:
     point = [torch.tensor(x, dtype=torch.float64) for x in (0.4, -1.0, REST)]
-    states = (memory_of([term]),) if isinstance(term, MemoryTerm) else ()
+    states = (memory_of([term]),) if remembers(term) else ()
     assert term.switch in term.names
     on, off = tensors(VALUES), tensors(VALUES | {term.switch: PARAMETERS[term.switch].neutral})
     assert float(term(*point, on, *states).value) != 0.0
-    if isinstance(term, MemoryTerm):  # a member without it starts without memory, which then stays away
+    if remembers(term):  # a member without it starts without memory, which then stays away
         still = 0.0 * states[0]
         assert float(term(*point, off, still).value) == 0.0
         assert float(term.memory_rate(*point, off, still).abs().sum()) == 0.0

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from imr_torch.material import PARAMETERS, TERMS, MemoryTerm, automatic_slopes, memory_rate, memory_states, response_slopes
+from imr_torch.material import PARAMETERS, TERMS, automatic_slopes, memory_rate, memory_states, remembers, response_slopes
 
 THETA = {name: torch.tensor([0.3, 0.7], dtype=torch.float64) for name in PARAMETERS.names}
 POINT = (
@@ -12,8 +12,8 @@ POINT = (
     torch.tensor([-7.0, 0.4], dtype=torch.float64),
     torch.tensor([0.2, 0.15], dtype=torch.float64),
 )
-PLAIN = [term for term in TERMS if not isinstance(term, MemoryTerm)]
-WITH_MEMORY = [term for term in TERMS if isinstance(term, MemoryTerm)]
+PLAIN = [term for term in TERMS if not remembers(term)]
+WITH_MEMORY = [term for term in TERMS if remembers(term)]
 NO_MEMORY = torch.zeros(0, 2, dtype=torch.float64)
 
 
