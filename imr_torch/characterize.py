@@ -28,7 +28,7 @@ from imr_torch.observe import (
 )
 from imr_torch.random import child
 from imr_torch.select import Evidence, evidences, probability_errors, update
-from imr_torch.simulate import Simulator, TransportSimulator
+from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.types import Progress
 
 LEVELS = (0.05, 0.5, 0.95)
@@ -182,7 +182,8 @@ def characterize(
     started = time.process_time()
     if len(traces) == 0:
         raise InputDataError("No curve to characterise; load at least one.")
-    prior, simulator, noise = prior or wide_prior(), simulator or TransportSimulator(), noise or Noise()
+    prior, noise = prior or wide_prior(), noise or Noise()
+    simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     experiments, landmarks = prepare(traces, simulator, collapses=collapses, rest_radius=rest_radius)
     rounds = _NOISE_ROUNDS if estimate_noise else 0
     batch = ExperimentBatch(experiments, noise)

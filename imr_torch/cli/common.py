@@ -3,7 +3,6 @@
 import argparse
 import sys
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,13 @@ from matplotlib.axes import Axes
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
-from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, Simulator, TransportSimulator, process_pool
+from imr_torch.simulate import ACCURACIES, ParallelSimulator, PolytropicSimulator, Simulator, TransportSimulator, process_pool
 from imr_torch.types import Progress
 
-SIMULATORS: dict[str, Callable[[], Simulator]] = {"polytropic": PolytropicSimulator, "transport": TransportSimulator}
+SIMULATORS: dict[str, Simulator] = {
+    "polytropic": PolytropicSimulator(),
+    "transport": TransportSimulator(accuracy=ACCURACIES["search"]),
+}
 _CHUNK = 128  # a design's information gain takes some four hundred bubbles
 DEFAULT_MODELS = "newtonian,nhkv,gen_qkv"
 
@@ -58,7 +60,7 @@ def add_workers_argument(parser: argparse.ArgumentParser) -> None:
 
 def simulator_of(args: argparse.Namespace) -> Simulator:
     """The simulator that ``--physics`` names, on as many processes as ``--workers`` says."""
-    simulator, workers = SIMULATORS[args.physics](), getattr(args, "workers", 1)
+    simulator, workers = SIMULATORS[args.physics], getattr(args, "workers", 1)
     if workers < 1:
         raise InputDataError(f"--workers is {workers}; expected at least 1.")
     return simulator if workers == 1 else ParallelSimulator(simulator, partial(process_pool, workers), chunk=_CHUNK)

@@ -17,7 +17,7 @@ from imr_torch.gap.score import GapTest
 from imr_torch.material import ModelBelief, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import child
-from imr_torch.simulate import Simulator, TransportSimulator
+from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.types import Progress
 
 _SURE = 0.8  # probability of one family at which a cause is named alone
@@ -87,7 +87,7 @@ def diagnose(
     effects = tuple(library(base=base.model) if effects is None else effects)
     if not effects:
         raise InputDataError(f"No effect is left that can be put on {base.model!r}; known are {', '.join(LIBRARY)}.")
-    simulator = simulator or TransportSimulator()
+    simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     batch = ExperimentBatch(tuple(experiments), noise or Noise())
     null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
     gap, starts = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))

@@ -49,9 +49,13 @@ class Accuracy:
 ACCURACIES = {
     "fast": Accuracy(1e-3, Resolution(14, 14)),
     "default": Accuracy(),
+    "search": Accuracy(max_steps=800),
     "reference": Accuracy(1e-6, Resolution(32, 40), max_steps=100000),
 }
-"""Named settings; their measured errors are in ``benchmarks/RESULTS.md``."""
+"""Named settings; their measured errors are in ``benchmarks/RESULTS.md``.
+
+``search`` is the default with little patience, for fits, whose trial points may be absurd: what a gel does up to
+``t* = 4`` takes some 500 steps, and one bubble of thousands would hold up all others."""
 
 
 @dataclass(frozen=True)
