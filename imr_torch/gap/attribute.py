@@ -10,12 +10,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from imr_torch.assimilate import EnsembleOptions, ModelFit
+import torch
+
+from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate
 from imr_torch.gap.effects import Effect
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.gap.linear import linearise
 from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_blocks, promising_starts
-from imr_torch.material import ModelBelief
+from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
@@ -27,6 +29,7 @@ ADEQUATE = 0.01
 
 _ROUND = 12  # effects refitted together
 _BEHIND = 8.0  # nats by which the best possible evidence of the rest must lag for refitting to stop
+_CONTENDER = 5.0  # nats behind the best within which a fit has to be finished
 _LOOSE = EnsembleOptions(iterations=25, hopeless=12.0)
 
 
@@ -91,8 +94,9 @@ def attribute(
         progress: called with one line per step.
     """
     fits = _refit(base, effects, null, gap, starts, batch, simulator, seed=seed, with_=tuple(with_), progress=progress)
-    evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
     null_name = Hypothesis(base, tuple(with_)).name
+    fits |= _finish({n: f for n, f in fits.items() if n != null_name}, batch, simulator, seed=child(seed, "finish"))
+    evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
     winner = max((name for name in fits if name != null_name), key=evidence.__getitem__)
     adequacy, next_starts = adequacy_test(fits[winner], effects, batch, simulator, seed=child(seed, "adequacy"))
     posterior, families = _weigh(evidence, effects, tuple(with_), adequacy.p_value)
@@ -145,6 +149,18 @@ def _refit(
         fits |= found
         best = max(best, *(laplace_evidence(fit) for fit in found.values()))
     return fits
+
+
+def _finish(fits: Mapping[str, ModelFit], batch: ExperimentBatch, simulator: Simulator, *, seed: int) -> dict[str, ModelFit]:
+    """Refit, near where they got, the contenders whose search was cut short or whose starts did not agree."""
+    best = max(laplace_evidence(fit) for fit in fits.values())
+    open_ = [name for name, fit in fits.items() if not fit.certificate.converged and laplace_evidence(fit) > best - _CONTENDER]
+    if not open_:
+        return {}
+    belief = Belief(tuple(fits[name].prior for name in open_), torch.zeros(len(open_), dtype=torch.float64))
+    near = Assimilation(belief, batch, tuple(fits[name] for name in open_))
+    found = assimilate(belief, batch, simulator, seed=seed, options=EnsembleOptions(starts=2), near=near)
+    return dict(zip(open_, found.fits, strict=True))
 
 
 def _weigh(

@@ -5,7 +5,7 @@ without converged fits.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from imr_torch.assimilate import ModelFit
@@ -20,7 +20,13 @@ from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.types import Progress
 
+Starts = Mapping[str, Sequence[Sequence[float]]]
+"""Name of an effect -> values to start it from."""
+
 _SURE = 0.8  # probability of one family at which a cause is named alone
+_SET = 0.95  # probability that the effects of a class reach together
+_LARGEST_CLASS = 3  # effects of different families that still make a verdict
+_FURTHER = 3.0  # nats that a further effect must explain
 
 
 @dataclass(frozen=True)
@@ -94,67 +100,92 @@ def diagnose(
     if progress:
         progress(f"gap test: p = {gap.p_value:.2g}, leading block {gap.blocks[0].name}")
 
-    def report(verdict: str, cause: tuple[str, ...], reason: str, found: Attribution | None = None) -> GapReport:
-        return GapReport(batch, null, gap, found, verdict, cause, time.perf_counter() - start, reason)
-
     if not null.certificate.converged:
-        return report("undecided", (), f"The base model's fit did not converge: {null.certificate}.")
-    if not gap.found:
-        return report("none", (), "No block of the gap test rejects the base model.")
-    return _decide(base, effects, null, gap, starts, batch, simulator, most, seed, progress, report)
+        found = _Finding("undecided", (), f"The base model's fit did not converge: {null.certificate}.")
+    elif not gap.found:
+        found = _Finding("none", (), "No block of the gap test rejects the base model.")
+    else:
+        offer = _Offer(base, effects, batch, simulator, seed, progress)
+        found = _select(offer, null, gap, starts, most)
+    return GapReport(batch, null, gap, found.attribution, found.verdict, found.cause, time.perf_counter() - start, found.reason)
 
 
-def _decide(base, effects, null, gap, starts, batch, simulator, most, seed, progress, report) -> GapReport:
-    """Select effects one after the other until one is adequate; name it, its class, or nobody."""
-    chosen: tuple[Effect, ...] = ()
-    fit, test = null, gap
-    first: Attribution | None = None
-    for step in range(most):
-        left = tuple(e for e in effects if not set(e.names) & {n for c in chosen for n in c.names})
-        found = attribute(
-            base,
-            left,
+@dataclass(frozen=True)
+class _Finding:
+    """A verdict, with the attribution that it rests on."""
+
+    verdict: str
+    cause: tuple[str, ...]
+    reason: str
+    attribution: Attribution | None = None
+
+
+@dataclass(frozen=True)
+class _Offer:
+    """What the selection of causes has to work with."""
+
+    base: ModelBelief
+    effects: tuple[Effect, ...]
+    batch: ExperimentBatch
+    simulator: Simulator
+    seed: int
+    progress: Progress | None
+
+    def attribute(self, chosen: tuple[Effect, ...], fit: ModelFit, test: GapTest, starts: Starts) -> Attribution:
+        """The attribution of a further effect beside those chosen."""
+        taken = {name for effect in chosen for name in effect.names}
+        return attribute(
+            self.base,
+            tuple(effect for effect in self.effects if not taken & set(effect.names)),
             fit,
             test,
             starts,
-            batch,
-            simulator,
-            seed=child(seed, "attribute", step),
+            self.batch,
+            self.simulator,
+            seed=child(self.seed, "attribute", len(chosen)),
             with_=chosen,
-            progress=progress,
+            progress=self.progress,
         )
-        if step and found.log_evidence[found.winner] < found.log_evidence[Hypothesis(base, chosen).name] + 3.0:
-            break  # a further effect that explains nothing is none
+
+
+def _select(offer: _Offer, null: ModelFit, gap: GapTest, starts: Starts, most: int) -> _Finding:
+    """Select effects one after the other until they are adequate; name them, their class, or nobody."""
+    chosen: tuple[Effect, ...] = ()
+    fit, test = null, gap
+    first: Attribution | None = None
+    while len(chosen) < min(most, len(offer.effects)):
+        found = offer.attribute(chosen, fit, test, starts)
+        gained = found.log_evidence[found.winner] - found.log_evidence[Hypothesis(offer.base, chosen).name]
+        if chosen and gained < _FURTHER:
+            break
         first = first or found
-        winner = found.winner.split("+")[-1]
-        chosen = (*chosen, next(e for e in left if e.name == winner))
+        chosen = (*chosen, LIBRARY[found.winner.split("+")[-1]])
         fit, test, starts = found.fits[found.winner], found.adequacy, found.next_starts
         if test.p_value >= ADEQUATE:
-            return _name(chosen, found, report)
+            return _name(chosen, found)
     assert first is not None
-    return report("other", (), f"No effect of the library is enough (adequacy p = {test.p_value:.2g}).", first)
+    return _Finding("other", (), f"No effect of the library is enough (adequacy p = {test.p_value:.2g}).", first)
 
 
-def _name(chosen: tuple[Effect, ...], found: Attribution, report) -> GapReport:
+def _name(chosen: tuple[Effect, ...], found: Attribution) -> _Finding:
     """An adequate cause: alone if it is sure, else the class of those that the data do not tell apart."""
-    if not found.fits[found.winner].certificate.converged:
-        return report("undecided", tuple(e.name for e in chosen), "The leading effect's fit did not converge.", found)
     before = tuple(effect.name for effect in chosen[:-1])
-    names = {name: name.split("+")[-1] for name in found.posterior}
-    ranked = sorted((n for n in found.posterior if n not in ("none", "other")), key=lambda n: -found.posterior[n])
-    total = sum(found.posterior[n] for n in ranked)
-    top = chosen[-1].family
-    same = tuple(names[n] for n in ranked if LIBRARY[names[n]].family == top and found.posterior[n] > 0.05 * total)
-    if sum(found.posterior[n] for n in ranked if LIBRARY[names[n]].family == top) >= _SURE * total:
+    if not found.fits[found.winner].certificate.converged:
+        return _Finding("undecided", (*before, chosen[-1].name), "The leading effect's fit did not converge.", found)
+    known = {name: found.posterior[name] for name in found.posterior if name not in ("none", "other")}
+    total = sum(known.values())
+    share = {name.split("+")[-1]: p / total for name, p in sorted(known.items(), key=lambda item: -item[1])}
+    family = {name: p for name, p in share.items() if LIBRARY[name].family == chosen[-1].family}
+    if sum(family.values()) >= _SURE:
+        same = tuple(name for name, p in family.items() if p > 0.05)
         verdict = "effect" if len(same) == 1 else "class"
-        return report(
-            verdict, before + same, f"Adequate (p = {found.adequacy.p_value:.2g}), and the others are improbable.", found
-        )
-    cause, reached = [], 0.0
-    for n in ranked:
-        cause.append(names[n])
-        reached += found.posterior[n]
-        if reached >= 0.95 * total:
+        reason = f"Adequate (p = {found.adequacy.p_value:.2g}), and the others are improbable."
+        return _Finding(verdict, before + same, reason, found)
+    likely, reached = [], 0.0
+    for name, p in share.items():
+        likely.append(name)
+        reached += p
+        if reached >= _SET:
             break
-    verdict = "class" if len(cause) <= 3 else "undecided"
-    return report(verdict, before + tuple(cause), "These effects explain the data about equally well.", found)
+    verdict = "class" if len(likely) <= _LARGEST_CLASS else "undecided"
+    return _Finding(verdict, before + tuple(likely), "These effects explain the data about equally well.", found)
