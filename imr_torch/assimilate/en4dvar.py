@@ -293,9 +293,11 @@ class _Search:
         leader = torch.where(led[:, None], self.leader_gel[chains], gel)[:, None]
         controls = (leader, gel[:, None], gel[:, None] + anomalies, gel[:, None].expand(-1, len(sides), -1))
         leader = torch.where(led[:, None, None], self.leader_nuisances[chains], nuisances)[:, None]
-        own = nuisances[:, None].expand(-1, 1 + anomalies.shape[1], -1, -1)
-        shifted = (leader, own, nuisances[:, None] + sides)
-        prediction = self._predict(self.model[chains], torch.cat(controls, 1), torch.cat(shifted, 1), bundled=True)[:, 1:]
+        own = nuisances[:, None]
+        shifted = (leader, own, own.expand(-1, anomalies.shape[1], -1, -1), own + sides)
+        alone = not bool(led.any())  # then each centre leads itself
+        bundle = (torch.cat(parts[alone:], 1) for parts in (controls, shifted))
+        prediction = self._predict(self.model[chains], *bundle, bundled=True)[:, not alone :]
         self.members += prediction[..., 0].numel()
         self.failures += int((~torch.isfinite(prediction)).any(-1).sum())
         self.cost[chains] = self._cost(gel, nuisances, prediction[:, 0])

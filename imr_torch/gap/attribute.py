@@ -1,18 +1,21 @@
 """Which effect causes the gap: evidence over equivalence classes, none and other, and whether the winner is enough.
 
-Every effect is ranked by its score at the null fit, the leading ones are refitted, and refitting stops when the rest cannot
-catch up. The evidence is that of the Gaussian approximation. A closed library always names somebody, so the winner must also
-be adequate: the gap test at its own fit gives ``p_ad``, and "other" is weighed by the bound of Sellke, Bayarri & Berger (Am.
-Stat. 55, 2001) on what an unknown alternative could gain, ``1/(-e p ln p)``.
+Every effect is fitted a few iterations, the leading ones to the end, until what the rest may still reach lags behind. (Scores
+at the null fit rank small effects well and large ones badly, so they only choose from where to start.) The evidence is that
+of the Gaussian approximation. A closed library always names somebody, so the winner must also be adequate: the gap test at
+its own fit gives ``p_ad``, and "other" is weighed by the bound of Sellke, Bayarri & Berger (Am. Stat. 55, 2001) on what an
+unknown alternative could gain, ``1/(-e p ln p)``.
 """
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
 
 from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate
+from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap.effects import Effect
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.gap.linear import linearise
@@ -27,10 +30,10 @@ PRIOR_NONE, PRIOR_OTHER = 0.5, 0.1
 ADEQUATE = 0.01
 """Below this ``p_ad`` the winner leaves a gap, and the verdict is a further effect or "other"."""
 
-_ROUND = 12  # effects refitted together
-_BEHIND = 8.0  # nats by which the best possible evidence of the rest must lag for refitting to stop
-_CONTENDER = 5.0  # nats behind the best within which a fit has to be finished
-_LOOSE = EnsembleOptions(iterations=25, hopeless=12.0)
+_ROUND = 8  # effects that are fitted to the end together
+_BEHIND = 8.0  # nats by which what the rest may still reach must lag for fitting to stop
+_ROUGH = EnsembleOptions(starts=2, iterations=3)
+_TO_THE_END = EnsembleOptions(starts=2, iterations=40, hopeless=12.0)
 
 
 @dataclass(frozen=True)
@@ -38,9 +41,9 @@ class Attribution:
     """What the data say about causes.
 
     Args:
-        fits: hypothesis -> fit, for those that were refitted; ``"none"`` among them.
+        fits: hypothesis -> fit, ``"none"`` among them; one that was left behind is not converged.
         log_evidence: hypothesis -> nats.
-        posterior: hypothesis -> probability, with ``"none"`` and ``"other"``; effects that were not refitted are below 1e-3.
+        posterior: hypothesis -> probability, with ``"none"`` and ``"other"``; those not fitted to the end are far behind.
         families: class -> probability, effects that are the same to first order summed.
         winner: name of the best hypothesis beside none.
         adequacy: the gap test at the winner's fit.
@@ -70,7 +73,6 @@ def attribute(
     base: ModelBelief,
     effects: Sequence[Effect],
     null: ModelFit,
-    gap: GapTest,
     starts: Mapping[str, Sequence[Sequence[float]]],
     batch: ExperimentBatch,
     simulator: Simulator,
@@ -85,7 +87,6 @@ def attribute(
         base: the base model's prior.
         effects: the library to choose from.
         null: the fit that leaves a gap, from which effects start.
-        gap: the gap test at that fit, for the ranking.
         starts: from which values each effect starts (:func:`imr_torch.gap.score.promising_starts`).
         batch: the data.
         simulator: makes the bubbles.
@@ -93,11 +94,11 @@ def attribute(
         with_: effects that are in every hypothesis already (forward selection of a second one).
         progress: called with one line per step.
     """
-    fits = _refit(base, effects, null, gap, starts, batch, simulator, seed=seed, with_=tuple(with_), progress=progress)
     null_name = Hypothesis(base, tuple(with_)).name
-    fits |= _finish({n: f for n, f in fits.items() if n != null_name}, batch, simulator, seed=child(seed, "finish"))
+    fits = {null_name: null}
+    fits |= _refit(base, effects, null, starts, batch, simulator, seed=seed, with_=tuple(with_), progress=progress)
     evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
-    winner = max((name for name in fits if name != null_name), key=evidence.__getitem__)
+    winner = max((name for name in fits if name != null_name), key=lambda name: evidence[name])
     adequacy, next_starts = adequacy_test(fits[winner], effects, batch, simulator, seed=child(seed, "adequacy"))
     posterior, families = _weigh(evidence, effects, tuple(with_), adequacy.p_value)
     return Attribution(fits, evidence, posterior, families, winner, adequacy, next_starts)
@@ -123,7 +124,6 @@ def _refit(
     base: ModelBelief,
     effects: Sequence[Effect],
     null: ModelFit,
-    gap: GapTest,
     starts: Mapping[str, Sequence[Sequence[float]]],
     batch: ExperimentBatch,
     simulator: Simulator,
@@ -132,35 +132,38 @@ def _refit(
     with_: tuple[Effect, ...],
     progress: Progress | None,
 ) -> dict[str, ModelFit]:
-    """Fits of the null and of the leading effects, in rounds from the best score downwards."""
-    score = {result.name: result.statistic for result in gap.blocks}
-    waiting = sorted(effects, key=lambda effect: -score.get(effect.name, 0.0))
-    fits = {Hypothesis(base, with_).name: null}
-    best = laplace_evidence(null)
-    while waiting:
-        # the score is what an effect can gain to first order; twice that is allowed for what is not
-        if len(fits) > _ROUND and laplace_evidence(null) + score.get(waiting[0].name, 0.0) < best - _BEHIND:
-            break
-        leading, waiting = waiting[:_ROUND], waiting[_ROUND:]
+    """Fits of all effects: a few iterations of each in one batch, then those to the end that may still be the best."""
+    if progress:
+        progress(f"attribution: {len(effects)} effects, a few iterations each")
+    hypotheses = [Hypothesis(base, (*with_, effect)) for effect in effects]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        fits = fit_hypotheses(hypotheses, null, batch, simulator, seed=seed, starts=starts, options=_ROUGH, progress=progress)
+    waiting: list[str] = sorted(fits, key=lambda name: -laplace_evidence(fits[name]))
+    best = -math.inf
+    while waiting and _promised(fits[waiting[0]]) > best - _BEHIND:
+        leading: list[str] = [name for name in waiting[:_ROUND] if _promised(fits[name]) > best - _BEHIND]
         if progress:
-            progress(f"attribution: refitting {', '.join(effect.name for effect in leading)}")
-        hypotheses = [Hypothesis(base, (*with_, effect)) for effect in leading]
-        found = fit_hypotheses(hypotheses, null, batch, simulator, seed=seed, starts=starts, options=_LOOSE, progress=progress)
-        fits |= found
-        best = max(best, *(laplace_evidence(fit) for fit in found.values()))
+            progress(f"attribution: to the end with {', '.join(leading)}")
+        fits |= _finish({name: fits[name] for name in leading}, batch, simulator, seed=seed, progress=progress)
+        best = max(best, *(laplace_evidence(fits[name]) for name in leading))
+        waiting = sorted((n for n in waiting if n not in leading), key=lambda name: -_promised(fits[name]))
     return fits
 
 
-def _finish(fits: Mapping[str, ModelFit], batch: ExperimentBatch, simulator: Simulator, *, seed: int) -> dict[str, ModelFit]:
-    """Refit, near where they got, the contenders whose search was cut short or whose starts did not agree."""
-    best = max(laplace_evidence(fit) for fit in fits.values())
-    open_ = [name for name, fit in fits.items() if not fit.certificate.converged and laplace_evidence(fit) > best - _CONTENDER]
-    if not open_:
-        return {}
-    belief = Belief(tuple(fits[name].prior for name in open_), torch.zeros(len(open_), dtype=torch.float64))
-    near = Assimilation(belief, batch, tuple(fits[name] for name in open_))
-    found = assimilate(belief, batch, simulator, seed=seed, options=EnsembleOptions(starts=2), near=near)
-    return dict(zip(open_, found.fits, strict=True))
+def _promised(fit: ModelFit) -> float:
+    """Evidence that a fit may still reach: four times what its gradient promises to first order."""
+    return laplace_evidence(fit) + 2.0 * min(fit.certificate.gradient, 1e3) ** 2
+
+
+def _finish(
+    fits: Mapping[str, ModelFit], batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None
+) -> dict[str, ModelFit]:
+    """Fits continued from where they are, and from perturbed copies of it, until they converge or are left behind."""
+    belief = Belief(tuple(fit.prior for fit in fits.values()), torch.zeros(len(fits), dtype=torch.float64))
+    near = Assimilation(belief, batch, tuple(fits.values()))
+    found = assimilate(belief, batch, simulator, seed=seed, options=_TO_THE_END, near=near, progress=progress)
+    return dict(zip(fits, found.fits, strict=True))
 
 
 def _weigh(

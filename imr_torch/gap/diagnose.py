@@ -131,14 +131,13 @@ class _Offer:
     seed: int
     progress: Progress | None
 
-    def attribute(self, chosen: tuple[Effect, ...], fit: ModelFit, test: GapTest, starts: Starts) -> Attribution:
+    def attribute(self, chosen: tuple[Effect, ...], fit: ModelFit, starts: Starts) -> Attribution:
         """The attribution of a further effect beside those chosen."""
         taken = {name for effect in chosen for name in effect.names}
         return attribute(
             self.base,
             tuple(effect for effect in self.effects if not taken & set(effect.names)),
             fit,
-            test,
             starts,
             self.batch,
             self.simulator,
@@ -154,20 +153,20 @@ def _select(offer: _Offer, null: ModelFit, gap: GapTest, starts: Starts, most: i
     fit, test = null, gap
     first: Attribution | None = None
     while len(chosen) < min(most, len(offer.effects)):
-        found = offer.attribute(chosen, fit, test, starts)
+        found = offer.attribute(chosen, fit, starts)
         gained = found.log_evidence[found.winner] - found.log_evidence[Hypothesis(offer.base, chosen).name]
         if chosen and gained < _FURTHER:
             break
         first = first or found
-        chosen = (*chosen, LIBRARY[found.winner.split("+")[-1]])
-        fit, test, starts = found.fits[found.winner], found.adequacy, found.next_starts
+        chosen = (*chosen, next(e for e in offer.effects if e.name == found.winner.split("+")[-1]))
+        fit, starts, test = found.fits[found.winner], found.next_starts, found.adequacy
         if test.p_value >= ADEQUATE:
-            return _name(chosen, found)
+            return _name(chosen, found, {effect.name: effect.family for effect in offer.effects})
     assert first is not None
     return _Finding("other", (), f"No effect of the library is enough (adequacy p = {test.p_value:.2g}).", first)
 
 
-def _name(chosen: tuple[Effect, ...], found: Attribution) -> _Finding:
+def _name(chosen: tuple[Effect, ...], found: Attribution, families: Mapping[str, str]) -> _Finding:
     """An adequate cause: alone if it is sure, else the class of those that the data do not tell apart."""
     before = tuple(effect.name for effect in chosen[:-1])
     if not found.fits[found.winner].certificate.converged:
@@ -175,7 +174,7 @@ def _name(chosen: tuple[Effect, ...], found: Attribution) -> _Finding:
     known = {name: found.posterior[name] for name in found.posterior if name not in ("none", "other")}
     total = sum(known.values())
     share = {name.split("+")[-1]: p / total for name, p in sorted(known.items(), key=lambda item: -item[1])}
-    family = {name: p for name, p in share.items() if LIBRARY[name].family == chosen[-1].family}
+    family = {name: p for name, p in share.items() if families[name] == chosen[-1].family}
     if sum(family.values()) >= _SURE:
         same = tuple(name for name, p in family.items() if p > 0.05)
         verdict = "effect" if len(same) == 1 else "class"
