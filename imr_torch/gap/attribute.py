@@ -10,7 +10,7 @@ unknown alternative could gain, ``1/(-e p ln p)``.
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -140,12 +140,14 @@ def _refit(
         warnings.simplefilter("ignore", ConvergenceWarning)
         fits = fit_hypotheses(hypotheses, null, batch, simulator, seed=seed, starts=starts, options=_ROUGH, progress=progress)
     waiting: list[str] = sorted(fits, key=lambda name: -laplace_evidence(fits[name]))
-    best = -math.inf
+    best, rival = -math.inf, math.inf
     while waiting and _promised(fits[waiting[0]]) > best - _BEHIND:
         leading: list[str] = [name for name in waiting[:_ROUND] if _promised(fits[name]) > best - _BEHIND]
         if progress:
             progress(f"attribution: to the end with {', '.join(leading)}")
-        fits |= _finish({name: fits[name] for name in leading}, batch, simulator, seed=seed, progress=progress)
+        options = replace(_TO_THE_END, rival=rival)
+        fits |= _finish({n: fits[n] for n in leading}, batch, simulator, options, seed=seed, progress=progress)
+        rival = min(rival, *(fits[name].cost for name in leading))
         best = max(best, *(laplace_evidence(fits[name]) for name in leading))
         waiting = sorted((n for n in waiting if n not in leading), key=lambda name: -_promised(fits[name]))
     return fits
@@ -157,12 +159,18 @@ def _promised(fit: ModelFit) -> float:
 
 
 def _finish(
-    fits: Mapping[str, ModelFit], batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None
+    fits: Mapping[str, ModelFit],
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    options: EnsembleOptions,
+    *,
+    seed: int,
+    progress: Progress | None,
 ) -> dict[str, ModelFit]:
     """Fits continued from where they are, and from perturbed copies of it, until they converge or are left behind."""
     belief = Belief(tuple(fit.prior for fit in fits.values()), torch.zeros(len(fits), dtype=torch.float64))
     near = Assimilation(belief, batch, tuple(fits.values()))
-    found = assimilate(belief, batch, simulator, seed=seed, options=_TO_THE_END, near=near, progress=progress)
+    found = assimilate(belief, batch, simulator, seed=seed, options=options, near=near, progress=progress)
     return dict(zip(fits, found.fits, strict=True))
 
 
