@@ -13,7 +13,6 @@ Against the published method the likelihood is that of all repeats and frames, t
 taken only if it lowers the exact cost; see :mod:`imr_torch.assimilate.fit` for the certificate each fit carries.
 """
 
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -53,7 +52,6 @@ class EnsembleOptions:
         agreement: tolerance of the cost difference between the two best starts, nats.
         hopeless: a start rests, unconverged, once its cost less what its gradient promises is worse than the best cost of
             any model by more than this, nats; never when not given.
-        rival: a cost reached elsewhere, which counts among those that may leave a start behind.
     """
 
     members: int | None = None
@@ -64,7 +62,6 @@ class EnsembleOptions:
     gradient: float = 1e-3
     agreement: float = 0.1
     hopeless: float | None = None
-    rival: float = math.inf
 
     def __post_init__(self) -> None:
         if self.members is not None and (self.members < 2 or self.members % 2):
@@ -377,8 +374,7 @@ class _Search:
         if self.options.hopeless is None:
             return
         promised = self.cost - 2.0 * self.gradient.clamp_max(1e6).square()  # Gauss-Newton promises a quarter of that
-        best = min(float(self.cost.min()), self.options.rival)
-        self.finished |= promised > best + self.options.hopeless
+        self.finished |= promised > self.cost.min() + self.options.hopeless
 
     def settle(self) -> None:
         """Let the other starts of a model rest once its best one has converged and a second agrees with it."""

@@ -1,26 +1,24 @@
 """Which effect causes the gap: evidence over equivalence classes, none and other, and whether the winner is enough.
 
-Every effect is fitted a few iterations, the leading ones to the end, until what the rest may still reach lags behind. (Scores
-at the null fit rank small effects well and large ones badly, so they only choose from where to start.) The evidence is that
-of the Gaussian approximation. A closed library always names somebody, so the winner must also be adequate: the gap test at
-its own fit gives ``p_ad``, and "other" is weighed by the bound of Sellke, Bayarri & Berger (Am. Stat. 55, 2001) on what an
-unknown alternative could gain, ``1/(-e p ln p)``.
+All effects are fitted in one batch, from two starts each; one that the best has left behind rests as soon as what it may
+still reach lags. (Scores at the null fit rank small effects well and large ones badly, so they only choose from where to
+start.) The evidence is that of the Gaussian approximation. A closed library always names somebody, so the winner must also
+be adequate: the gap test at its own fit gives ``p_ad``, and "other" is weighed by the bound of Sellke, Bayarri & Berger (Am.
+Stat. 55, 2001) on what an unknown alternative could gain, ``1/(-e p ln p)``.
 """
 
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import torch
-
-from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate
+from imr_torch.assimilate import EnsembleOptions, ModelFit
 from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap.effects import Effect
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.gap.linear import linearise
 from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_blocks, promising_starts
-from imr_torch.material import Belief, ModelBelief
+from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
@@ -30,10 +28,7 @@ PRIOR_NONE, PRIOR_OTHER = 0.5, 0.1
 ADEQUATE = 0.01
 """Below this ``p_ad`` the winner leaves a gap, and the verdict is a further effect or "other"."""
 
-_ROUND = 8  # effects that are fitted to the end together
-_BEHIND = 8.0  # nats by which what the rest may still reach must lag for fitting to stop
-_ROUGH = EnsembleOptions(starts=2, iterations=3)
-_TO_THE_END = EnsembleOptions(starts=2, iterations=40, hopeless=12.0)
+_FIT = EnsembleOptions(starts=2, iterations=40, hopeless=12.0)
 
 
 @dataclass(frozen=True)
@@ -95,8 +90,13 @@ def attribute(
         progress: called with one line per step.
     """
     null_name = Hypothesis(base, tuple(with_)).name
-    fits = {null_name: null}
-    fits |= _refit(base, effects, null, starts, batch, simulator, seed=seed, with_=tuple(with_), progress=progress)
+    hypotheses = [Hypothesis(base, (*with_, effect)) for effect in effects]
+    if progress:
+        progress(f"attribution: {len(effects)} effects")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # the certificate of the one that is named is looked at
+        found = fit_hypotheses(hypotheses, null, batch, simulator, seed=seed, starts=starts, options=_FIT, progress=progress)
+    fits = {null_name: null} | found
     evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
     winner = max((name for name in fits if name != null_name), key=lambda name: evidence[name])
     adequacy, next_starts = adequacy_test(fits[winner], effects, batch, simulator, seed=child(seed, "adequacy"))
@@ -118,60 +118,6 @@ def adequacy_test(
     blocks = [block(name, directions, line) for name, directions in rows.items()]
     starts = {effect.name: promising_starts(effect, rows[effect.name], line) for effect in others}
     return gap_test([*blocks, *generic_blocks(fit, batch, simulator, line)], line, seed=seed), starts
-
-
-def _refit(
-    base: ModelBelief,
-    effects: Sequence[Effect],
-    null: ModelFit,
-    starts: Mapping[str, Sequence[Sequence[float]]],
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: int,
-    with_: tuple[Effect, ...],
-    progress: Progress | None,
-) -> dict[str, ModelFit]:
-    """Fits of all effects: a few iterations of each in one batch, then those to the end that may still be the best."""
-    if progress:
-        progress(f"attribution: {len(effects)} effects, a few iterations each")
-    hypotheses = [Hypothesis(base, (*with_, effect)) for effect in effects]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        fits = fit_hypotheses(hypotheses, null, batch, simulator, seed=seed, starts=starts, options=_ROUGH, progress=progress)
-    waiting: list[str] = sorted(fits, key=lambda name: -laplace_evidence(fits[name]))
-    best, rival = -math.inf, math.inf
-    while waiting and _promised(fits[waiting[0]]) > best - _BEHIND:
-        leading: list[str] = [name for name in waiting[:_ROUND] if _promised(fits[name]) > best - _BEHIND]
-        if progress:
-            progress(f"attribution: to the end with {', '.join(leading)}")
-        options = replace(_TO_THE_END, rival=rival)
-        fits |= _finish({n: fits[n] for n in leading}, batch, simulator, options, seed=seed, progress=progress)
-        rival = min(rival, *(fits[name].cost for name in leading))
-        best = max(best, *(laplace_evidence(fits[name]) for name in leading))
-        waiting = sorted((n for n in waiting if n not in leading), key=lambda name: -_promised(fits[name]))
-    return fits
-
-
-def _promised(fit: ModelFit) -> float:
-    """Evidence that a fit may still reach: four times what its gradient promises to first order."""
-    return laplace_evidence(fit) + 2.0 * min(fit.certificate.gradient, 1e3) ** 2
-
-
-def _finish(
-    fits: Mapping[str, ModelFit],
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    options: EnsembleOptions,
-    *,
-    seed: int,
-    progress: Progress | None,
-) -> dict[str, ModelFit]:
-    """Fits continued from where they are, and from perturbed copies of it, until they converge or are left behind."""
-    belief = Belief(tuple(fit.prior for fit in fits.values()), torch.zeros(len(fits), dtype=torch.float64))
-    near = Assimilation(belief, batch, tuple(fits.values()))
-    found = assimilate(belief, batch, simulator, seed=seed, options=options, near=near, progress=progress)
-    return dict(zip(fits, found.fits, strict=True))
 
 
 def _weigh(

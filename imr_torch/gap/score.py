@@ -24,6 +24,7 @@ from imr_torch.simulate import Simulator
 _RANK = 1e-3  # singular values below this part of the largest add no direction
 _BOOTSTRAP = 2000
 _PULSES = 8
+_STARTS = ((0.1, 0.4), (0.5, 1.5))  # amplitudes, over those of an effect's starts
 _LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones to be tested
 
 
@@ -91,29 +92,28 @@ def effect_directions(
     }
 
 
-def promising_starts(effect: Effect, rows: Tensor, line: Linearisation, count: int = 2) -> tuple[tuple[float, ...], ...]:
-    """The starts of an effect that the residual asks for most, with the amplitude that it asks for to first order.
+def promising_starts(effect: Effect, rows: Tensor, line: Linearisation) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Two starts of an effect in the directions that the residual asks for most: a small one and one of typical size.
+
+    A large gap asks, to first order, for more than is true, and beyond the next collapse another minimum waits; an effect
+    whose slope vanishes at its neutral value is not seen from near it. One of the two starts suits each.
 
     Args:
         effect: the effect.
         rows: ``S x N`` tensor from :func:`effect_directions`; empty if no start could be simulated.
         line: the fit's neighbourhood.
-        count: how many starts to return; where fewer are promising, the best one at smaller amplitudes fills up.
     """
     left = line.project(rows)
     square = left.square().sum(1).clamp_min(1e-300)
     amplitude = (left @ line.residual) / square
     gain = amplitude.clamp_min(0.0) * amplitude * square
-    order = [i for i in torch.argsort(-gain).tolist() if float(gain[i]) > 0.0][:count] or [0]
+    order = [i for i in torch.argsort(-gain).tolist() if float(gain[i]) > 0.0][:2] or [0]
     starts = []
-    for i in order:
+    for i, (least, most) in zip((order[0], order[-1]), _STARTS, strict=True):
         first, *others = effect.starts[i]
-        scale = min(max(float(amplitude[i]), 0.2), 2.0) if len(rows) else 0.2
+        scale = min(max(float(amplitude[i]), least), most) if len(rows) else least
         starts.append((first * scale, *others))
-    while len(starts) < count:
-        first, *others = starts[0]
-        starts.append((first * 0.5 ** len(starts), *others))
-    return tuple(starts)
+    return starts[0], starts[1]
 
 
 def block(name: str, rows: Tensor, line: Linearisation) -> Block:
