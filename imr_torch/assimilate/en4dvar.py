@@ -35,6 +35,7 @@ _LONGEST_STEP = 4.0  # prior standard deviations
 _SIDE = 1e-4  # prior standard deviations by which nuisances are moved for their sensitivity
 _NEAR = 1.0  # posterior standard deviations from a minimum at which a chain keeps its leader
 _RESTART = 0.25  # prior standard deviations
+_AWAY = 10.0  # posterior standard deviations
 
 
 @dataclass(frozen=True)
@@ -134,6 +135,16 @@ def _antithetic(members: int, size: int, source: torch.Generator) -> Tensor:
     return torch.cat((half, -half)) * (members / 2) ** 0.5
 
 
+def _around(chol: Tensor, source: torch.Generator) -> Tensor:
+    """A ``d`` perturbation of ten posterior standard deviations (``chol``, ``d x d``), or a quarter of the prior's if smaller.
+
+    Where the data are sharp, a step on the prior's scale leads out of the minimum into whichever lies next to it.
+    """
+    noise = torch.randn(chol.shape[0], generator=source, dtype=torch.float64)
+    step = _AWAY * (chol @ noise)
+    return step * (_RESTART * noise.norm() / step.norm().clamp_min(1e-300)).clamp_max(1.0)
+
+
 class _Search:
     """The state of all chains (models x starts) and one Gauss-Newton iteration of them."""
 
@@ -204,10 +215,10 @@ class _Search:
 
     def _start_near(self, near: Assimilation, source: torch.Generator) -> None:
         """Start each model at an earlier optimum and at perturbed copies of it."""
-        noise = _RESTART * torch.randn(len(self.model), self.size, generator=source, dtype=torch.float64)
-        noise[:: self.options.starts] = 0.0
         fits = [near[self.belief.keys[i]] for i in self.model.tolist()]
         pad = torch.nn.functional.pad
+        noise = torch.stack([pad(_around(fit.chol, source), (0, self.size - len(fit.mean))) for fit in fits])
+        noise[:: self.options.starts] = 0.0
         optimum = torch.stack([pad(fit.mean, (0, self.size - len(fit.mean))) for fit in fits])
         self.nuisances = torch.stack([fit.nuisances for fit in fits])
         failed = torch.isinf(self._cost_alone(self.model, optimum + noise, self.nuisances))
@@ -393,9 +404,10 @@ class _Search:
             apart = rows[self.cost[rows] > self.cost[rows[0]] + self.options.agreement]
             if self.restarted[model] or len(rows) - len(apart) >= 2 or not bool(self.finished[rows].all()):
                 continue
-            noise = torch.randn(len(apart), self.size, generator=self.source, dtype=torch.float64)
             self.restarted[model] = True
-            self.gel[apart] = self.gel[rows[0]].clone() + _RESTART * noise
+            free = len(self.belief.models[model].names)
+            noise = torch.stack([_around(self.chol[rows[0], :free, :free], self.source) for _ in apart])
+            self.gel[apart] = self.gel[rows[0]].clone() + torch.nn.functional.pad(noise, (0, self.size - free))
             self.nuisances[apart] = self.nuisances[rows[0]].clone()
             self.cost[apart] = self._cost_alone(self.model[apart], self.gel[apart], self.nuisances[apart])
             self.finished[apart] = ~torch.isfinite(self.cost[apart])
