@@ -7,6 +7,7 @@ more designs or seeds, is run again and continues.
 
 import os
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, as_completed
 from contextlib import contextmanager
@@ -69,11 +70,15 @@ class Outcome:
     Args:
         seed: which.
         designs: experiments told so far.
+        made: of which in this run.
+        cpu_seconds: CPU time that this run took; 0 when not known.
         error: why it went no further, if it was not meant to stop there; run the study again to continue.
     """
 
     seed: int
     designs: int
+    made: int = 0
+    cpu_seconds: float = 0.0
     error: str | None = None
 
 
@@ -117,7 +122,7 @@ def run_campaigns(
         except UnsupportedError:
             raise
         except Exception as error:  # the worker died, or could not read its task
-            outcome = Outcome(seed, len(study.open(seed).experiments), f"{type(error).__name__}: {error}")
+            outcome = Outcome(seed, len(study.open(seed).experiments), error=f"{type(error).__name__}: {error}")
         found[seed] = _report(outcome, progress)
     return tuple(found[seed] for seed in seeds)
 
@@ -132,11 +137,14 @@ def _attempt(study: Study, seed: int, designs: int, home: int) -> Outcome:
     """One seed in a worker."""
     if os.getpid() == home and threading.current_thread() is not threading.main_thread():
         raise UnsupportedError("run_campaigns was given threads, which share BoTorch's generator; give it processes.")
+    before, started, error = len(study.open(seed).experiments), time.process_time(), None
     with _one_thread():
         try:
-            return Outcome(seed, len(study.run(seed, designs).experiments))
-        except Exception as error:
-            return Outcome(seed, len(study.open(seed).experiments), f"{type(error).__name__}: {error}")
+            study.run(seed, designs)
+        except Exception as problem:
+            error = f"{type(problem).__name__}: {problem}"
+    after = len(study.open(seed).experiments)
+    return Outcome(seed, after, after - before, time.process_time() - started, error)
 
 
 @contextmanager
