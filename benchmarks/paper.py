@@ -12,16 +12,26 @@ import argparse
 from pathlib import Path
 
 import paper_campaigns
+import paper_figures
 import torch
 
 from imr_torch.files import write_json
 from imr_torch.material import CASES
 
+FIGURES = {
+    "bo": paper_figures.bo,
+    "ensembles": paper_figures.ensembles,
+    "models": paper_figures.models,
+    "errors": paper_figures.errors,
+    "sequence": paper_figures.sequence,
+    "trajectory": paper_figures.trajectory,
+}
+
 
 def main() -> None:
     """Run the part asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=("campaigns", "table"))
+    parser.add_argument("part", choices=("campaigns", "table", *FIGURES))
     parser.add_argument("--out", metavar="FOLDER", required=True, type=Path)
     parser.add_argument("--case", choices=tuple(CASES), default="stiff-pa")
     parser.add_argument("--policy", choices=tuple(paper_campaigns.POLICIES), default="optimal")
@@ -34,6 +44,8 @@ def main() -> None:
     if args.part == "campaigns":
         first, last = (int(text) for text in args.seeds.split(":"))
         paper_campaigns.run(args.out, args.case, args.policy, args.mode, range(first, last), args.designs, args.workers)
+    elif args.part in FIGURES:
+        FIGURES[args.part](args.out)
     else:
         document = paper_campaigns.table(args.out)
         write_json(args.out / "table.json", document)

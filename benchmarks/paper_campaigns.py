@@ -91,8 +91,8 @@ def run(
     for count in range(1, designs + 1):
         waiting = [seed for seed in seeds if len(work.open(seed).steps) < count]
         outcomes = run_campaigns(waiting, work, count, executor=pool, progress=None if quiet else print)
-        with (Path(work.folder) / "cpu.jsonl").open("a") if waiting else open("/dev/null", "w") as stream:
-            for outcome in outcomes:
+        for outcome in outcomes:
+            with (Path(work.folder) / "cpu.jsonl").open("a") as stream:
                 stream.write(json.dumps(asdict(outcome)) + "\n")
     if pool:
         pool.shutdown()
@@ -151,16 +151,20 @@ def read(folder: Path, case: ReferenceCase, policy: str, mode: str) -> dict[int,
     return found
 
 
-def _mean(values: Sequence[float]) -> tuple[float, float] | None:
-    """Mean and its standard error; None of nothing."""
-    if not values:
-        return None
-    return statistics.fmean(values), statistics.stdev(values) / math.sqrt(len(values)) if len(values) > 1 else math.nan
+def _mean(values: Sequence[float]) -> tuple[float, float | None]:
+    """Mean and its standard error; None of one value."""
+    error = statistics.stdev(values) / math.sqrt(len(values)) if len(values) > 1 else None
+    return statistics.fmean(values), error
 
 
 def _first(rows: Sequence[Row], reached: Any) -> float:
     """Number of the first design at which something is reached; infinite when none."""
     return next((float(n) for n, row in enumerate(rows, start=1) if reached(row)), math.inf)
+
+
+def _known(numbers: Sequence[float]) -> list[float | None]:
+    """Sorted, with None for never so far."""
+    return [None if math.isinf(n) else n for n in sorted(numbers)]
 
 
 def _covered(rows: Sequence[bool]) -> dict[str, float]:
@@ -179,8 +183,8 @@ def summary(seeds: dict[int, list[Row]], cpu: Path) -> dict[str, Any]:
     return {
         "seeds": len(rows),
         "designs_of_each": sorted(len(r) for r in rows),
-        "until_within_1_percent": sorted(until),
-        "until_sure": sorted(sure),
+        "until_within_1_percent": _known(until),
+        "until_sure": _known(sure),
         "wrong_model_sure": sum(any(row.probability < 1.0 - SURE for row in r) for r in rows),
         "by_design": {
             n: {
