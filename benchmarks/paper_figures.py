@@ -18,11 +18,11 @@ import matplotlib.pyplot as plt
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from paper_campaigns import PLAN, POLICIES, SEARCH, WITHIN, Row, read
+from paper_campaigns import PLAN, POLICIES, SEARCH, WITHIN, Row, read, study
 
 from imr_torch.assimilate import PublishedFit, assimilate_published
 from imr_torch.campaign import PAPER_OPTIMAL, ExactLearner, Harvest, Learner, Optimal, PaperLearner, Situation
-from imr_torch.design import DesignSpace, Estimator
+from imr_torch.design import DesignSpace, Estimator, gains_of_each
 from imr_torch.files import write_json
 from imr_torch.material import CASES, PARAMETERS, Belief, TruncatedNormal, reference_case
 from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory, collapse_time
@@ -109,6 +109,40 @@ def bo(folder: Path) -> None:
     axes[1].set(xlabel="We", ylabel="R_inf*", title="evaluated designs; stars: recommended")
     axes[2].set(xlabel="evaluation", ylabel="gain (nats)")
     finish(folder, "bo", rows, figure)
+
+
+def search(folder: Path, seeds: Sequence[int] = range(3)) -> None:
+    """Whether the cheap search ends where a dearer one does, for the first and the second design of a campaign.
+
+    The dearer one has four times the draws and asks for one design at a time; both ends are judged with 128 fresh common
+    draws of each model.
+    """
+    dear, judge = Optimal(Estimator(draws=64)), Estimator(draws=128)
+    campaigns = study(folder, CASE, "optimal", "exact")
+
+    def compute(number: int, seed: int) -> dict[str, Any]:
+        belief = CASE.prior if number == 1 else campaigns.open(seed).steps[number - 2].belief
+        ends, seconds = [], []
+        for policy in (SEARCH, dear):
+            started = time.process_time()
+            ends.append(policy.choose(Situation(number, belief, SIMULATOR, DesignSpace(), PLAN, seed)).design)
+            seconds.append(time.process_time() - started)
+        gains = gains_of_each(belief, torch.stack(ends), SIMULATOR, PLAN, estimator=judge, seed=12345)
+        return {"ends": [end.tolist() for end in ends], "gains": [gain.value for gain in gains], "search_cpu": seconds}
+
+    rows = {
+        f"design {number}, seed {seed}": remembered(folder, f"search_{number}_{seed}", lambda n=number, s=seed: compute(n, s))
+        for number in (1, 2)
+        for seed in seeds
+    }
+    figure, ax = plt.subplots(figsize=(5.5, 3.4), layout="constrained")
+    for i, (name, row) in enumerate(rows.items()):
+        (a, b), (c, d) = row["ends"]
+        ax.annotate("", (a, b), (c, d), arrowprops={"arrowstyle": "->", "color": f"C{i}"})
+        ax.plot([a, c], [b, d], "o", color=f"C{i}", label=f"{name}: {row['gains'][0] - row['gains'][1]:+.3f} nats")
+    ax.set(xlabel="We", ylabel="R_inf*", title="from the dear search's end to the cheap one's")
+    ax.legend(fontsize=7)
+    finish(folder, "search", rows, figure)
 
 
 def ensembles(folder: Path) -> None:
