@@ -128,7 +128,7 @@ def test_campaign_shoots_a_list_and_stops_when_enough_is_known(tmp_path):
 
 def test_campaign_learns_as_published_when_asked_to(tmp_path):
     out = tmp_path / "paper"
-    arguments = ["campaign", "--case", "soft-pa", "--designs", "1", "--policy", "300:0.2", "--method", "paper", "--quiet"]
+    arguments = ["campaign", "--case", "soft-pa", "--designs", "1", "--evaluations", "3", "--method", "paper", "--quiet"]
     assert main([*arguments, "--out", str(out)]) == 0
     result = json.loads((out / "campaign.json").read_text())
     low, middle, high = result["intervals"]["nhkv"]["mu"]
@@ -136,6 +136,8 @@ def test_campaign_learns_as_published_when_asked_to(tmp_path):
     journal = (out / "journal.jsonl").read_text()
     assert "PaperLearner" in journal
     assert "probabilities_of_this_design" in journal
+    asked = [json.loads(line) for line in journal.splitlines() if '"event": "ask"' in line][0]
+    assert asked["gain"] == max(row["parameters"] + row["model"] for row in asked["evaluations"]) < 6.91  # log 1000
 
 
 def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, capsys):
