@@ -136,7 +136,7 @@ def test_campaign_learns_as_published_when_asked_to(tmp_path):
     journal = (out / "journal.jsonl").read_text()
     assert "PaperLearner" in journal
     assert "probabilities_of_this_design" in journal
-    asked = [json.loads(line) for line in journal.splitlines() if '"event": "ask"' in line][0]
+    asked = next(json.loads(line) for line in journal.splitlines() if '"event": "ask"' in line)
     assert asked["gain"] == max(row["parameters"] + row["model"] for row in asked["evaluations"]) < 6.91  # log 1000
 
 
