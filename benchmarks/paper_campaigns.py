@@ -157,6 +157,10 @@ def _mean(values: Sequence[float]) -> tuple[float, float | None]:
     return statistics.fmean(values), error
 
 
+def _close(row: Row) -> bool:
+    return max(row.errors) <= WITHIN
+
+
 def _first(rows: Sequence[Row], reached: Any) -> float:
     """Number of the first design at which something is reached; infinite when none."""
     return next((float(n) for n, row in enumerate(rows, start=1) if reached(row)), math.inf)
@@ -175,7 +179,8 @@ def _covered(rows: Sequence[bool]) -> dict[str, float]:
 def summary(seeds: dict[int, list[Row]], cpu: Path) -> dict[str, Any]:
     """The figures of one case, policy and mode."""
     rows, longest = list(seeds.values()), max(len(r) for r in seeds.values())
-    until = [_first(r, lambda row: max(row.errors) <= WITHIN) for r in rows]
+    until = [_first(r, _close) for r in rows]
+    stays = [_first(r, lambda row, r=r: all(_close(later) for later in r[r.index(row) :])) for r in rows]
     sure = [_first(r, lambda row: row.probability > SURE) for r in rows]
     at = {n: [r[n - 1] for r in rows if len(r) >= n] for n in range(1, longest + 1)}
     timed = [json.loads(line) for line in cpu.read_text().splitlines()] if cpu.exists() else []
@@ -184,6 +189,7 @@ def summary(seeds: dict[int, list[Row]], cpu: Path) -> dict[str, Any]:
         "seeds": len(rows),
         "designs_of_each": sorted(len(r) for r in rows),
         "until_within_1_percent": _known(until),
+        "until_within_1_percent_for_good": _known(stays),
         "until_sure": _known(sure),
         "wrong_model_sure": sum(any(row.probability < 1.0 - SURE for row in r) for r in rows),
         "by_design": {
