@@ -8,6 +8,7 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ RADII = {"985 um, .2887": (985e-6, 0.2887), "387 um, .15": (387e-6, 0.15)}
 DRAWS = (200, 400, 800, 1600)
 SPREADS = (0.02, 0.04, 0.06, 0.08, 0.10)
 NOISES = (0.5, 1.0, 2.0, 4.0)
+LEARNERS: dict[str, Learner] = {"paper": PaperLearner(), "exact": ExactLearner()}
 COLORS = {"optimal": "#0072B2", "random": "#E69F00"}
 
 
@@ -179,19 +181,15 @@ def ensembles(folder: Path) -> None:
 def models(folder: Path, seeds: Sequence[int] = range(3)) -> None:
     """Probability of the wrong model (NHKV) at two designs, as published and by evidence."""
     rows = {}
-    for name, (radius, rest) in RADII.items():
-        for mode, learner in (("paper", PaperLearner()), ("exact", ExactLearner())):
-            for seed in seeds:
-                experiment_of = (weber(radius), rest)
-                key = f"models_{name.split()[0]}_{mode}_{seed}"
-                rows[f"{name} | {mode} | {seed}"] = remembered(
-                    folder,
-                    key,
-                    lambda d=experiment_of, how=learner, s=seed: {
-                        "design": d,
-                        "probability_nhkv": learn(how, shoot(d, s), CASE.prior, s).probabilities["nhkv"],
-                    },
-                )
+    for (mode, learner), (name, (radius, rest)), seed in product(LEARNERS.items(), RADII.items(), seeds):
+
+        def compute(
+            design: tuple[float, float] = (weber(radius), rest), how: Learner = learner, seed: int = seed
+        ) -> dict[str, Any]:
+            belief = learn(how, shoot(design, seed), CASE.prior, seed)
+            return {"design": design, "probability_nhkv": belief.probabilities["nhkv"]}
+
+        rows[f"{name} | {mode} | {seed}"] = remembered(folder, f"models_{name.split()[0]}_{mode}_{seed}", compute)
     figure, ax = plt.subplots(figsize=(5.5, 3.4), layout="constrained")
     groups = {
         (name, mode): [v["probability_nhkv"] for k, v in rows.items() if k.startswith(f"{name} | {mode}")]
@@ -217,7 +215,7 @@ def errors(folder: Path) -> None:
         return {"sds": (after.sds / true).tolist(), "errors": (after.means / true - 1.0).tolist()}
 
     rows = {}
-    for mode, learner in (("exact", ExactLearner()), ("paper", PaperLearner())):
+    for mode, learner in LEARNERS.items():
         for spread, scale in [(s, 1.0) for s in SPREADS] + [(0.1, n) for n in NOISES if n != 1.0]:
             name = f"errors_{mode}_{spread:g}_{scale:g}"
             rows[name] = remembered(folder, name, lambda s=spread, n=scale, how=learner: compute(s, n, how))
