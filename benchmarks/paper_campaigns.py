@@ -171,9 +171,10 @@ def _known(numbers: Sequence[float]) -> list[float | None]:
     return [None if math.isinf(n) else n for n in sorted(numbers)]
 
 
-def _covered(rows: Sequence[bool]) -> dict[str, float]:
-    share = statistics.fmean(rows)
-    return {"share": share, "error": math.sqrt(max(share * (1 - share), 0.25 / len(rows)) / len(rows)), "intervals": len(rows)}
+def _covered(seeds: Sequence[list[bool]]) -> dict[str, float | None]:
+    """Share of intervals that cover; its error is over seeds, since the parameters of one seed err together."""
+    share, error = _mean([statistics.fmean(covered) for covered in seeds])
+    return {"share": share, "error": error, "intervals": sum(map(len, seeds))}
 
 
 def summary(seeds: dict[int, list[Row]], cpu: Path) -> dict[str, Any]:
@@ -200,7 +201,7 @@ def summary(seeds: dict[int, list[Row]], cpu: Path) -> dict[str, Any]:
                 "sds_median": [statistics.median(e) for e in zip(*(row.sds for row in group), strict=True)],
                 "ratio_to_bound_median": [statistics.median(e) for e in zip(*(row.ratios for row in group), strict=True)],
                 "probability_mean": statistics.fmean(row.probability for row in group),
-                "coverage": _covered([c for row in group for c in row.covered]),
+                "coverage": _covered([row.covered for row in group]),
                 "volume": _mean([row.volume for row in group]),
                 "cpu_seconds_mean": statistics.fmean(seconds[n]) if seconds[n] else None,
             }
