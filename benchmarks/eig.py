@@ -153,27 +153,27 @@ def fidelity() -> list[dict[str, Any]]:
 
 def searching() -> list[dict[str, Any]]:
     """Regret of the design that a whole search recommends, against a grid and all designs found."""
-    runs = []
-    for draws, seeds in ((16, 4), (64, 4)):
-        for common in (False, True):
-            for seed in range(seeds):
-                started = time.process_time()
-                acquisition = ExpectedInformationGain(
-                    PRIOR, PolytropicSimulator(), plan=PLANS[100], estimator=Estimator("laplace", draws=draws)
-                )
-                best = search_design(acquisition, seed=seed, common=common).recommendation.design
-                runs.append(((draws, common), best, time.process_time() - started))
+    variants, seeds, runs = [(16, False, 1), (16, True, 1), (16, True, 5), (64, True, 5)], 4, []
+    for variant in variants:
+        draws, common, batch = variant
+        for seed in range(seeds):
+            started = time.process_time()
+            acquisition = ExpectedInformationGain(
+                PRIOR, PolytropicSimulator(), plan=PLANS[100], estimator=Estimator("laplace", draws=draws)
+            )
+            best = search_design(acquisition, seed=seed, common=common, batch=batch).recommendation.design
+            runs.append((variant, best, time.process_time() - started))
     points = torch.cat((torch.stack([run[1] for run in runs]), designs(32)))
     truth = surface(points, 100, Estimator("laplace", draws=500), seed=0, common=True)
     rows = []
-    for key in dict.fromkeys(run[0] for run in runs):
-        mine = torch.tensor([run[0] == key for run in runs])
+    for draws, common, batch in variants:
+        mine = torch.tensor([run[0] == (draws, common, batch) for run in runs])
         regrets = truth.max() - truth[: len(runs)][mine]
-        cpu = sum(run[2] for run in runs if run[0] == key) / int(mine.sum())
-        rows.append({"draws": key[0], "common": key[1], "regrets": regrets.tolist(), "cpu": cpu})
+        cpu = sum(run[2] for run in runs if run[0] == (draws, common, batch)) / seeds
+        rows.append({"draws": draws, "common": common, "batch": batch, "regrets": regrets.tolist(), "cpu": cpu})
         print(
-            f"laplace N = {2 * key[0]:4d} {'common' if key[1] else 'own':6s} draws: regret mean {float(regrets.mean()):.3f} "
-            f"worst {float(regrets.max()):.3f} nats, CPU of a search {cpu:.0f} s",
+            f"laplace N = {2 * draws:4d} {'common' if common else 'own':6s} draws, {batch} at a time: regret mean "
+            f"{float(regrets.mean()):.3f} worst {float(regrets.max()):.3f} nats, CPU of a search {cpu:.0f} s",
             flush=True,
         )
     return rows

@@ -105,6 +105,41 @@ def test_campaign_does_not_overwrite_and_resumes(simulated, capsys):
     assert after["designs"] == first["designs"]
 
 
+def test_campaign_shoots_a_list_and_stops_when_enough_is_known(tmp_path):
+    out = tmp_path / "list"
+    arguments = [
+        "campaign",
+        "--case",
+        "soft-pa",
+        "--designs",
+        "3",
+        "--policy",
+        "300:0.2,400:0.25",
+        "--quiet",
+        "--out",
+        str(out),
+    ]
+    assert main([*arguments, "--stop", "sd=.01,probability=.99", "--stop", "designs=2"]) == 0
+    result = json.loads((out / "campaign.json").read_text())
+    assert result["designs"] == [[300.0, 0.2]]
+    assert not list(out.glob("information_*.png"))
+    assert "and nhkv has a probability above 0.99" in (out / "journal.jsonl").read_text()
+
+
+def test_campaign_learns_as_published_when_asked_to(tmp_path):
+    out = tmp_path / "paper"
+    arguments = ["campaign", "--case", "soft-pa", "--designs", "1", "--evaluations", "3", "--method", "paper", "--quiet"]
+    assert main([*arguments, "--out", str(out)]) == 0
+    result = json.loads((out / "campaign.json").read_text())
+    low, middle, high = result["intervals"]["nhkv"]["mu"]
+    assert high - low > 0.02 * middle  # ten times what a hundred repeats leave open
+    journal = (out / "journal.jsonl").read_text()
+    assert "PaperLearner" in journal
+    assert "probabilities_of_this_design" in journal
+    asked = next(json.loads(line) for line in journal.splitlines() if '"event": "ask"' in line)
+    assert asked["gain"] == max(row["parameters"] + row["model"] for row in asked["evaluations"]) < 6.91  # log 1000
+
+
 def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, capsys):
     out = tmp_path / "gel"
     base = ["campaign", "--models", "nhkv", "--evaluations", "4", "--repeats", "1", "--quiet", "--out", str(out)]
@@ -123,6 +158,10 @@ def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, ca
     assert len(result["designs"]) == 1
     low, _, high = result["intervals"]["nhkv"]["G"]
     assert low < TRUTH["G"] < high
+    ending = ["campaign", "--models", "nhkv", "--policy", "space-filling", "--stop", "designs=1", "--quiet"]
+    new = ["--repeats", "1", "--out", str(tmp_path / "other")]
+    assert main([*ending, *new, *rest, "--tell", str(shot)]) == 0
+    assert "Enough: 1 designs were shot" in capsys.readouterr().out
 
 
 def test_a_saved_belief_is_the_prior_of_the_next_design(tmp_path):
@@ -168,6 +207,12 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
         (["design", "--case", "soft-pa", "--workers", "0"], "--workers is 0; expected at least 1"),
         (["design", "--case", "soft-pa", "--belief", "x.json"], "--belief and --case both name a prior"),
         (["campaign", "--case", "soft-pa", "--out", "{folder}", "--designs", "0"], "--designs is 0; expected at least 1"),
+        (
+            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "best"],
+            "--policy is 'best'; expected optimal, random",
+        ),
+        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "300:a"], "--policy: '300:a' is not VALUE:VALUE"),
+        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--stop", "luck=7"], "'luck=7' is not a stopping rule"),
         (["campaign", "--case", "soft-pa", "--out", "{folder}", "--resume"], "holds no journal to resume"),
         (["campaign", "--case", "soft-pa", "--out", "{folder}", "--tell", "{file}"], "give one of the two"),
     ],

@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from imr_torch.assimilate import EnsembleOptions
-from imr_torch.campaign import Campaign, CampaignSettings
+from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Optimal
 from imr_torch.design import Estimator, Plan
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import SimulatedLaboratory
@@ -41,7 +41,11 @@ laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats
 settings = CampaignSettings(plan=Plan(repeats=100))
 if SMOKE:
     small = EnsembleOptions(members=8, scouts=32, starts=2)
-    settings = CampaignSettings(plan=Plan(repeats=100), estimator=Estimator(draws=4), evaluations=4, initial=3, ensemble=small)
+    settings = CampaignSettings(
+        plan=Plan(repeats=100),
+        policy=Optimal(Estimator(draws=4), evaluations=4, initial=3),
+        learner=ExactLearner(ensemble=small),
+    )
 campaign = Campaign(OUT, case.prior, simulator, settings=settings, seed=1)
 
 # %%

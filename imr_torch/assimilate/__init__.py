@@ -4,6 +4,7 @@ from imr_torch.assimilate.en4dvar import EnsembleOptions, assimilate
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
 from imr_torch.assimilate.importance import ImportanceSample
+from imr_torch.assimilate.published import PublishedFit, PublishedOptions, as_one_curve, assimilate_published
 from imr_torch.assimilate.trust import weigh
 
 __all__ = [
@@ -13,8 +14,12 @@ __all__ = [
     "ImportanceSample",
     "ModelFit",
     "NormalEquations",
+    "PublishedFit",
+    "PublishedOptions",
     "Verdict",
+    "as_one_curve",
     "assimilate",
+    "assimilate_published",
     "ensemble_sensitivity",
     "normal_equations",
     "weigh",

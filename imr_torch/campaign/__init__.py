@@ -1,6 +1,61 @@
 """Stage 7, do it again: ask, experiment, assimilate, select, and the journal that remembers all of it."""
 
 from imr_torch.campaign.journal import Journal
-from imr_torch.campaign.loop import Campaign, CampaignSettings, Proposal, Step
+from imr_torch.campaign.learners import ExactLearner, Harvest, Learner, Lesson, PaperLearner
+from imr_torch.campaign.loop import Campaign, CampaignSettings, Step
+from imr_torch.campaign.policies import (
+    PAPER_OPTIMAL,
+    DesignPolicy,
+    Fixed,
+    Optimal,
+    Proposal,
+    Random,
+    Situation,
+    SpaceFilling,
+)
+from imr_torch.campaign.stopping import (
+    AllOf,
+    AnyOf,
+    Budget,
+    Designs,
+    GainBelow,
+    ModelProbability,
+    RelativeSd,
+    Standing,
+    StoppingRule,
+    stopping_rule,
+)
+from imr_torch.campaign.study import Outcome, Study, run_campaigns
 
-__all__ = ["Campaign", "CampaignSettings", "Journal", "Proposal", "Step"]
+__all__ = [
+    "PAPER_OPTIMAL",
+    "AllOf",
+    "AnyOf",
+    "Budget",
+    "Campaign",
+    "CampaignSettings",
+    "DesignPolicy",
+    "Designs",
+    "ExactLearner",
+    "Fixed",
+    "GainBelow",
+    "Harvest",
+    "Journal",
+    "Learner",
+    "Lesson",
+    "ModelProbability",
+    "Optimal",
+    "Outcome",
+    "PaperLearner",
+    "Proposal",
+    "Random",
+    "RelativeSd",
+    "Situation",
+    "SpaceFilling",
+    "Standing",
+    "Step",
+    "StoppingRule",
+    "Study",
+    "run_campaigns",
+    "stopping_rule",
+]

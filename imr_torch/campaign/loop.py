@@ -1,87 +1,70 @@
 """The campaign: ask for a design, tell what was measured, learn, and ask again.
 
-Every step's belief is computed from the prior and *all* experiments so far, each used once, so Gaussian approximations do
-not pile up. Everything that is asked, measured or concluded is in the journal before the next thing starts; opening the
-folder again continues where it stopped, with the same numbers bit for bit on one machine.
+What to shoot is a policy's choice (:mod:`~imr_torch.campaign.policies`), what is learnt a learner's
+(:mod:`~imr_torch.campaign.learners`), and when to end a rule's (:mod:`~imr_torch.campaign.stopping`). Everything that is
+asked, measured or concluded is in the journal before the next thing starts; opening the folder again continues where it
+stopped, with the same numbers bit for bit on one machine.
 """
 
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate, weigh
+from imr_torch.assimilate import Assimilation
 from imr_torch.campaign.journal import Journal
-from imr_torch.design import (
-    DesignOptimizer,
-    DesignSearch,
-    DesignSpace,
-    Estimator,
-    ExpectedInformationGain,
-    InformationGain,
-    Plan,
-    Recommendation,
-    search_design,
-    tell_gain,
-)
+from imr_torch.campaign.learners import ExactLearner, Harvest, Learner, PaperLearner, finite
+from imr_torch.campaign.policies import PAPER_OPTIMAL, DesignPolicy, Optimal, Proposal, Situation
+from imr_torch.campaign.stopping import Standing, StoppingRule
+from imr_torch.design import DesignSearch, DesignSpace, Plan
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch, collapse_time
-from imr_torch.random import child
-from imr_torch.select import Evidence, evidences, update
+from imr_torch.select import Evidence
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 
 @dataclass(frozen=True)
 class CampaignSettings:
-    """How a campaign searches and learns.
+    """How a campaign chooses, learns and ends.
 
     Args:
         space: designs that may be asked for.
         plan: how each experiment will be observed.
-        estimator: how the information gain of a design is estimated.
-        evaluations: designs evaluated in each search.
-        initial: of which space-filling.
-        evidence_samples: importance samples of each model and round, for evidence and moments.
-        ensemble: how the assimilation searches.
+        policy: chooses designs.
+        learner: turns experiments into a belief.
+        stop: ends the campaign; None to go on as long as :meth:`Campaign.run` is asked to.
     """
 
     space: DesignSpace = field(default_factory=DesignSpace)
     plan: Plan = field(default_factory=lambda: Plan(repeats=100))
-    estimator: Estimator = field(default_factory=lambda: Estimator(draws=48))
-    evaluations: int = 25
-    initial: int = 10
-    evidence_samples: int = 256
-    ensemble: EnsembleOptions = field(default_factory=EnsembleOptions)
+    policy: DesignPolicy = field(default_factory=Optimal)
+    learner: Learner = field(default_factory=ExactLearner)
+    stop: StoppingRule | None = None
+
+    @classmethod
+    def paper(cls) -> "CampaignSettings":
+        """Everything as in arXiv 2409.00011, defects included: its search, assimilation and model probability."""
+        return cls(policy=PAPER_OPTIMAL, learner=PaperLearner())
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready values."""
-        document = asdict(self)
-        document["plan"]["times"] = self.plan.times.tolist()
-        return document
+        """JSON-ready values, with the kind of every part."""
+        return _described(self)
 
 
-@dataclass(frozen=True)
-class Proposal:
-    """A design to shoot next.
-
-    Args:
-        step: number of the experiment, from 1.
-        design: ``2`` tensor, (We, R_inf*).
-        gain: expected information gain there, nats (posterior mean of the surrogate).
-        gain_sd: its standard deviation.
-    """
-
-    step: int
-    design: Tensor
-    gain: float
-    gain_sd: float
+def _described(value: Any) -> Any:
+    """A dataclass and what it is made of as JSON-ready values."""
+    if is_dataclass(value):
+        return {"kind": type(value).__name__} | {f.name: _described(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, tuple):
+        return [_described(part) for part in value]
+    return value.tolist() if isinstance(value, Tensor) else value
 
 
 @dataclass(frozen=True)
@@ -91,8 +74,8 @@ class Step:
     Args:
         number: from 1.
         belief: after this experiment.
-        evidence: evidence of each model, all experiments together.
-        assimilation: the fits; None when the step was read back from the journal.
+        evidence: evidence of each model, all experiments together; empty if the learner knows none.
+        assimilation: the fits; None when the step was read back from the journal, or the learner makes none.
     """
 
     number: int
@@ -168,8 +151,18 @@ class Campaign:
         """What is thought of the gel now."""
         return self.steps[-1].belief if self.steps else self.prior
 
+    @property
+    def _learnt(self) -> int:
+        """Experiments that the present belief knows of."""
+        return self.steps[-1].number if self.steps else 0
+
+    def reason_to_stop(self, proposal: Proposal | None = None) -> str | None:
+        """Why the campaign should end, by what was told so far and, if given, what is proposed; None where it should not."""
+        rule, gain = self.settings.stop, proposal.gain if proposal else None
+        return rule.reason(Standing(self.belief, tuple(self.experiments), gain)) if rule else None
+
     def ask(self, *, progress: Progress | None = None) -> Proposal:
-        """The design of largest expected information gain under the present belief.
+        """The design that the policy chooses under the present belief.
 
         A design that was asked before and not yet told is given again without another search.
         """
@@ -179,34 +172,22 @@ class Campaign:
             design = torch.tensor(known["design"], dtype=torch.float64)
             return Proposal(number, design, known["gain"], known["gain_sd"])
         settings = self.settings
-        acquisition = ExpectedInformationGain(
-            self.belief, self.simulator, plan=settings.plan, space=settings.space, estimator=settings.estimator
+        situation = Situation(number, self.belief, self.simulator, settings.space, settings.plan, self.seed)
+        found = settings.policy.choose(situation, progress=progress)
+        search = found.search
+        tried = zip(search.gains, search.designs, strict=True) if search else ()
+        rows = [finite(asdict(gain)) | {"design": design.tolist()} for gain, design in tried]
+        self.journal.append(
+            "ask", step=number, design=found.design.tolist(), gain=found.gain, gain_sd=found.gain_sd, evaluations=rows
         )
-        search = search_design(
-            acquisition,
-            seed=child(self.seed, "design", number),
-            evaluations=settings.evaluations,
-            initial=settings.initial,
-            progress=progress,
-        )
-        best = search.recommendation
-        gains = [asdict(g) | {"design": d.tolist()} for g, d in zip(search.gains, search.designs, strict=True)]
-        self.journal.append("ask", step=number, design=best.design.tolist(), gain=best.mean, gain_sd=best.sd, evaluations=gains)
-        return Proposal(number, best.design, best.mean, best.sd)
+        return found
 
     def search(self, number: int) -> DesignSearch | None:
-        """The search behind the proposal of a step, rebuilt from the journal; None when that step was never asked."""
+        """The search behind the proposal of a step, rebuilt from the journal; None where there was none."""
         known = self.journal.find("ask", number)
-        if known is None:
+        if known is None or not known["evaluations"] or not isinstance(self.settings.policy, Optimal):
             return None
-        rows = [dict(row) for row in known["evaluations"]]
-        designs = torch.tensor([row.pop("design") for row in rows], dtype=torch.float64)
-        gains = tuple(InformationGain(**row) for row in rows)
-        optimizer = DesignOptimizer(self.settings.space, seed=child(self.seed, "design", number), initial=self.settings.initial)
-        for design, gain in zip(designs, gains, strict=True):
-            tell_gain(optimizer, design, gain)
-        best = Recommendation(torch.tensor(known["design"], dtype=torch.float64), known["gain"], known["gain_sd"])
-        return DesignSearch(best, designs, gains, optimizer)
+        return self.settings.policy.rebuild(known, self.settings.space, self.seed)
 
     def tell(self, *experiments: Experiment, progress: Progress | None = None) -> Step:
         """Record what was measured, with its achieved design, and update the belief.
@@ -228,30 +209,20 @@ class Campaign:
         return self.learn(progress=progress)
 
     def learn(self, *, progress: Progress | None = None) -> Step:
-        """Assimilate all experiments so far and record the belief; what :meth:`tell` does last."""
-        number = len(self.experiments)
-        batch = ExperimentBatch(tuple(self._window(e) for e in self.experiments), self.settings.plan.noise)
-        result = assimilate(
-            self.prior,
-            batch,
-            self.simulator,
-            seed=child(self.seed, "assimilate", number),
-            options=self.settings.ensemble,
-            progress=progress,
+        """Learn from all experiments so far and record the belief; what :meth:`tell` does last."""
+        number, settings = len(self.experiments), self.settings
+        batch = ExperimentBatch(tuple(self._window(e) for e in self.experiments), settings.plan.noise)
+        lesson = settings.learner.learn(
+            Harvest(self.prior, self.belief, batch, number - self._learnt, self.seed), self.simulator, progress=progress
         )
-        seed = child(self.seed, "weigh", number)
-        result = weigh(result, self.simulator, seed=seed, samples=self.settings.evidence_samples)
-        evidence = evidences(result)
-        belief = update(result, evidence)
         self.journal.append(
             "belief",
             step=number,
-            belief=belief.to_dict(),
-            evidence=[_finite(asdict(e)) for e in evidence],
-            certificates={fit.model: _finite(asdict(fit.certificate)) for fit in result.fits},
-            gaussian_answer={fit.model: fit.trust for fit in result.fits},
+            belief=lesson.belief.to_dict(),
+            evidence=[finite(asdict(e)) for e in lesson.evidence],
+            **lesson.record,
         )
-        self.steps.append(Step(number, belief, evidence, result))
+        self.steps.append(Step(number, lesson.belief, lesson.evidence, lesson.assimilation))
         return self.steps[-1]
 
     def _window(self, experiment: Experiment) -> Experiment:
@@ -263,18 +234,31 @@ class Campaign:
     def run(
         self, shoot: Callable[[Tensor, int], Experiment], designs: int, *, progress: Progress | None = None
     ) -> Sequence[Step]:
-        """Ask and shoot until ``designs`` experiments are told.
+        """Ask and shoot until ``designs`` experiments are told, or the stopping rule has a reason to end.
 
         Args:
             shoot: makes an experiment at a design; second argument is its number.
-            designs: experiments in all, those already told included.
+            designs: experiments in all, those already told included; it may be raised when a campaign is resumed.
             progress: called with one line per step of work.
         """
-        if self.experiments and len(self.steps) < len(self.experiments):
+        if len(self.experiments) > self._learnt:
             self.learn(progress=progress)  # the last run was cut off between measuring and learning
         while len(self.experiments) < designs:
+            if reason := self.reason_to_stop():
+                return self._end(reason, progress)
             proposal = self.ask(progress=progress)
+            if reason := self.reason_to_stop(proposal):
+                return self._end(reason, progress)
             self.tell(shoot(proposal.design, proposal.step), progress=progress)
+        return self.steps
+
+    def _end(self, reason: str, progress: Progress | None) -> Sequence[Step]:
+        """Write down why the campaign is over, once."""
+        number = len(self.experiments)
+        if self.journal.find("stop", number) is None:
+            self.journal.append("stop", step=number, reason=reason)
+        if progress:
+            progress(f"stopped: {reason}")
         return self.steps
 
 
@@ -283,10 +267,6 @@ def _through_json(document: Any) -> Any:
     return json.loads(json.dumps(document))
 
 
-def _finite(values: dict[str, Any]) -> dict[str, Any]:
-    return {k: (None if isinstance(v, float) and not math.isfinite(v) else v) for k, v in values.items()}
-
-
 def _infinite(values: dict[str, Any]) -> dict[str, Any]:
-    """Inverse of :func:`_finite`; the one number of an evidence that may be infinite is the shape of its tail."""
+    """Inverse of :func:`finite`; the one number of an evidence that may be infinite is the shape of its tail."""
     return {k: (math.inf if v is None else v) for k, v in values.items()}

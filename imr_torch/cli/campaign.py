@@ -11,16 +11,32 @@ With your own gel, ask and tell in turn; the folder remembers everything:
 
 Told files carry their achieved design: Rmax and R_inf are measured from the curves. A campaign that was cut off
 continues with --resume, with the same result as if it had not been.
+
+What to compare with, and when to end:
+
+  imr-torch campaign --case soft-pa --designs 5 --policy random --stop sd=0.01,probability=0.99 --out baseline
 """
 
 import argparse
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from imr_torch.campaign import Campaign, CampaignSettings, Journal
+from imr_torch.campaign import (
+    Campaign,
+    CampaignSettings,
+    DesignPolicy,
+    Fixed,
+    Journal,
+    Optimal,
+    Random,
+    SpaceFilling,
+    stopping_rule,
+)
 from imr_torch.characterize import intervals, predictive_band, prepare
 from imr_torch.cli.common import (
     add_physics_argument,
@@ -41,6 +57,7 @@ from imr_torch.observe import Experiment, Layout, SimulatedLaboratory, load_trac
 from imr_torch.plot import plot_experiment, plot_information, plot_parameter, plot_probabilities
 from imr_torch.random import child
 
+_BASELINES: dict[str, Callable[[], DesignPolicy]] = {"random": Random, "space-filling": SpaceFilling}
 NAME = "campaign"
 SUMMARY = "design, shoot, learn, and again"
 
@@ -48,6 +65,26 @@ SUMMARY = "design, shoot, learn, and again"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the subcommand."""
     parser.add_argument("--designs", type=int, default=2, help="experiments of a simulated campaign (default 2)")
+    parser.add_argument(
+        "--policy",
+        default="optimal",
+        metavar="NAME",
+        help="optimal (default), random, space-filling, or a list of designs We:R_inf*,We:R_inf*,...",
+    )
+    parser.add_argument(
+        "--stop",
+        action="append",
+        default=[],
+        metavar="RULE",
+        help="end early: sd=.01 (every parameter), probability=.99 (of a model), gain=.5 (nats), designs=5, "
+        "budget=TOTAL:PER_DESIGN:PER_CURVE; with commas all of them together, given again any of them",
+    )
+    parser.add_argument(
+        "--method",
+        choices=("exact", "paper"),
+        default="exact",
+        help="learn from all data (exact, default), or search and learn as in arXiv 2409.00011, to compare with",
+    )
     parser.add_argument("--out", metavar="DIR", required=True, help="folder of the journal, figures and JSON")
     parser.add_argument("--resume", action="store_true", help="continue the journal in --out")
     parser.add_argument("--tell", nargs="+", metavar="FILE", help="files of an experiment you made")
@@ -72,12 +109,7 @@ def run(args: argparse.Namespace) -> None:
     if args.designs < 1:
         raise InputDataError(f"--designs is {args.designs}; expected at least 1.")
     simulator = simulator_of(args)
-    settings = CampaignSettings(
-        space=space_of(args),
-        plan=Plan(repeats=args.repeats),
-        evaluations=args.evaluations,
-        initial=min(10, args.evaluations),
-    )
+    settings = settings_of(args)
     campaign = Campaign(folder, prior_of(args), simulator, settings=settings, seed=args.seed, note={"case": args.case})
     started = time.process_time()
     case = reference_case(args.case) if args.case else None
@@ -88,6 +120,25 @@ def run(args: argparse.Namespace) -> None:
     else:
         _real(campaign, args)
     _report(campaign, case, args, time.process_time() - started)
+
+
+def settings_of(args: argparse.Namespace) -> CampaignSettings:
+    """What the options say of choosing, learning and ending."""
+    base = CampaignSettings.paper() if args.method == "paper" else CampaignSettings()
+    policy = _policy(args.policy, base.policy, args.evaluations)
+    return replace(base, space=space_of(args), plan=Plan(repeats=args.repeats), policy=policy, stop=stopping_rule(*args.stop))
+
+
+def _policy(text: str, optimal: DesignPolicy, evaluations: int) -> DesignPolicy:
+    """The policy of a name, or of a list of designs."""
+    if text == "optimal":
+        assert isinstance(optimal, Optimal)
+        return replace(optimal, evaluations=evaluations, initial=min(optimal.initial, evaluations))
+    if text in _BASELINES:
+        return _BASELINES[text]()
+    if ":" not in text:
+        raise InputDataError(f"--policy is {text!r}; expected optimal, {', '.join(_BASELINES)}, or designs We:R_inf*,...")
+    return Fixed(tuple(pair for part in text.split(",") if (pair := parse_pair(part, "--policy")) is not None))
 
 
 def _simulated(campaign: Campaign, case: ReferenceCase, args: argparse.Namespace) -> None:
@@ -115,9 +166,15 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> None:
         print(traces.report())
         experiments, _ = prepare(traces, campaign.simulator, rest_radius=parse_pair(args.rest_radius, "--rest-radius"))
         campaign.tell(*experiments, progress=progress)
+    if reason := campaign.reason_to_stop():
+        print(f"Enough: {reason}")
+        return
     proposal = campaign.ask(progress=progress)
     where = campaign.settings.space.describe(proposal.design, campaign.simulator.conditions.surroundings)
-    print(f"Shoot next: {where}; expected gain {proposal.gain:.2f} +- {proposal.gain_sd:.2f} nats")
+    expected = "" if proposal.gain is None else f"; expected gain {proposal.gain:.2f} +- {proposal.gain_sd:.2f} nats"
+    print(f"Shoot next: {where}{expected}")
+    if reason := campaign.reason_to_stop(proposal):
+        print(f"or leave it: {reason}")
 
 
 def _report(campaign: Campaign, case: ReferenceCase | None, args: argparse.Namespace, seconds: float) -> None:

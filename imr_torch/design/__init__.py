@@ -2,7 +2,7 @@
 
 from imr_torch.design.acquisition import ExpectedInformationGain
 from imr_torch.design.closed_form import linear_gaussian_gain
-from imr_torch.design.eig import Bracket, expected_information_gain, information_bracket
+from imr_torch.design.eig import Bracket, expected_information_gain, gains_of_each, information_bracket
 from imr_torch.design.gain import Estimator, InformationGain, Method
 from imr_torch.design.optimizer import (
     POLICIES,
@@ -34,6 +34,7 @@ __all__ = [
     "Policy",
     "Recommendation",
     "expected_information_gain",
+    "gains_of_each",
     "information_bracket",
     "linear_gaussian_gain",
     "search_design",

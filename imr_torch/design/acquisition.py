@@ -4,7 +4,7 @@ import torch
 from botorch.acquisition import AcquisitionFunction
 from torch import Tensor
 
-from imr_torch.design.eig import expected_information_gain
+from imr_torch.design.eig import expected_information_gain, gains_of_each
 from imr_torch.design.gain import Estimator, InformationGain
 from imr_torch.design.plan import Plan
 from imr_torch.design.space import DesignSpace
@@ -52,6 +52,15 @@ class ExpectedInformationGain(AcquisitionFunction):
         return expected_information_gain(
             self.belief, designs, self.simulator, self.plan, estimator=self.estimator, seed=self.seed
         )
+
+    def estimate_each(self, designs: Tensor) -> list[InformationGain]:
+        """The gains of ``n x 2`` designs, each alone, from common draws.
+
+        Raises:
+            InputDataError: for a design outside the space.
+        """
+        self.space.check(designs)
+        return gains_of_each(self.belief, designs, self.simulator, self.plan, estimator=self.estimator, seed=self.seed)
 
     def forward(self, X: Tensor) -> Tensor:
         """Gain of each batch of designs.

@@ -14,7 +14,7 @@ it, which leaves it too low (adaptive contrastive estimation: Foster et al., AIS
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -23,6 +23,7 @@ from imr_torch.design.gain import Estimator, InformationGain, Terms, summarise
 from imr_torch.design.likelihood import Data, Linear, infer, log_likelihood, observe
 from imr_torch.design.response import Response, Shot, radii, respond
 from imr_torch.material import ModelBelief
+from imr_torch.random import generator
 
 _LONGEST_STEP = 4.0  # standard deviations of the belief
 _SHORTER = 0.3  # of a Gauss-Newton step, tried beside the whole one
@@ -48,24 +49,52 @@ class _Drawn:
     rows: tuple[slice, ...]
 
 
-def _draw(shot: Shot, draws: int, source: torch.Generator) -> _Drawn:
+def _controls(shot: Shot, draws: int, source: torch.Generator) -> list[Tensor]:
+    """Draws of each model, ``draws x d``."""
+    return [torch.randn(draws, len(part.names), generator=source, dtype=torch.float64) for part in shot.belief.models]
+
+
+def _respond(shot: Shot, controls: Sequence[Tensor]) -> list[Response]:
+    """What the camera would see of the draws of each model."""
+    return [respond(shot, part, v) for part, v in zip(shot.belief.models, controls, strict=True)]
+
+
+def _observed(responses: Sequence[Response], shot: Shot, source: torch.Generator) -> _Drawn:
+    """A datum of each gel that could be simulated."""
     parts, controls, data, rows, first = [], [], [], [], 0
-    for part in shot.belief.models:
-        v = torch.randn(draws, len(part.names), generator=source, dtype=torch.float64)
-        seen = respond(shot, part, v)
-        controls.append(torch.cat((v[seen.good], v[~seen.good])))
-        seen = seen[seen.good]
+    for every in responses:
+        seen, v = every[every.good], every.controls
+        controls.append(torch.cat((v[every.good], v[~every.good])))
         parts.append(seen)
         data.append(observe(seen, shot.plan, source))
         rows.append(slice(first, first + len(seen)))
         first += len(seen)
-    every = Data(torch.cat([d.radius for d in data]), torch.cat([d.window for d in data]))
-    return _Drawn(tuple(parts), tuple(controls), every, tuple(rows))
+    together = Data(torch.cat([d.radius for d in data]), torch.cat([d.window for d in data]))
+    return _Drawn(tuple(parts), tuple(controls), together, tuple(rows))
+
+
+def _draw(shot: Shot, draws: int, source: torch.Generator) -> _Drawn:
+    return _observed(_respond(shot, _controls(shot, draws, source)), shot, source)
 
 
 def laplace(shot: Shot, estimator: Estimator, source: torch.Generator) -> InformationGain:
     """The gain from linearised posteriors and evidences alone."""
-    drawn = _draw(shot, estimator.draws, source)
+    return _linearised(_draw(shot, estimator.draws, source), shot, estimator)
+
+
+def laplace_each(shot: Shot, estimator: Estimator, seed: int) -> list[InformationGain]:
+    """The gain of each design of a shot *alone*, as :func:`laplace` has it, with the bubbles of all simulated together."""
+    responses = _respond(shot, _controls(shot, estimator.draws, generator(seed)))
+    gains = []
+    for number in range(len(shot.designs)):
+        source, alone = generator(seed), replace(shot, designs=shot.designs[number : number + 1])
+        _controls(shot, estimator.draws, source)  # so that the noise is the one that follows them
+        drawn = _observed([seen.of_design(number) for seen in responses], alone, source)
+        gains.append(_linearised(drawn, alone, estimator))
+    return gains
+
+
+def _linearised(drawn: _Drawn, shot: Shot, estimator: Estimator) -> InformationGain:
     own = [infer(drawn.data[rows], part, shot.plan) for rows, part in zip(drawn.rows, drawn.parts, strict=True)]
     logs = [_linear_evidence(drawn, i, own[i], shot) for i in range(len(own))]
     total = _mixture(logs, shot)

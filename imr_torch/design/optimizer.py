@@ -273,6 +273,7 @@ def search_design(
     seed: int,
     evaluations: int = 25,
     initial: int = 10,
+    batch: int = 1,
     policy: Policy | None = None,
     cost: Cost | None = None,
     common: bool = True,
@@ -285,6 +286,8 @@ def search_design(
         seed: of the search.
         evaluations: designs evaluated in all.
         initial: of which space-filling.
+        batch: designs asked for together after those; the bubbles of several are simulated in less time than of one after
+            the other, and the surrogate is asked less often.
         policy: how designs are chosen.
         cost: of an experiment; 1 when not given.
         common: whether all evaluations share their draws and noise, which cancels from differences between designs and
@@ -293,26 +296,44 @@ def search_design(
 
     Returns:
         The search; evaluations too many of whose bubbles failed are in it and were not told to the surrogate.
+
+    Raises:
+        InputDataError: for fewer evaluations than initial designs, or an empty batch.
     """
-    if evaluations < initial:
-        raise InputDataError(f"evaluations is {evaluations}, fewer than the {initial} initial designs; raise it.")
+    if evaluations < initial or batch < 1:
+        raise InputDataError(
+            f"evaluations is {evaluations}, fewer than the {initial} initial designs; raise it."
+            if evaluations < initial
+            else f"batch is {batch}; expected at least 1."
+        )
     optimizer = DesignOptimizer(acquisition.space, seed=seed, initial=initial, policy=policy, cost=cost)
-    designs, gains, failed = [], [], torch.empty(0, 2, dtype=torch.float64)
-    sobol = iter(optimizer.ask(optimizer.initial))
-    for number in range(evaluations):
-        design = next(sobol, None)
-        design = optimizer.ask(pending=failed)[0] if design is None else design
-        acquisition.seed = child(seed, "eig", 0 if common else number)
-        gain = acquisition.estimate(design[None])
-        designs.append(design)
-        gains.append(gain)
-        tell_gain(optimizer, design, gain)
-        if gain.failed:
-            failed = torch.cat((failed, design[None]))
-        if progress:
-            error = gain.variance**0.5
-            progress(
-                f"design {number + 1}/{evaluations}: We {float(design[0]):6.1f}  R_inf* {float(design[1]):.3f}  "
-                f"EIG {gain.value:.3f} +- {error:.3f} nats"
-            )
-    return DesignSearch(optimizer.recommend(), torch.stack(designs), tuple(gains), optimizer)
+    designs, gains, failed = torch.empty(0, 2, dtype=torch.float64), [], torch.empty(0, 2, dtype=torch.float64)
+    while len(gains) < evaluations:
+        most = batch if acquisition.space.choices is None else min(batch, len(acquisition.space.choices) - len(failed))
+        asked = optimizer.ask(min(most, evaluations - len(gains)) if gains else optimizer.initial, pending=failed)
+        for design, gain in zip(asked, _evaluate(acquisition, asked, seed, len(gains), common), strict=True):
+            designs = torch.cat((designs, design[None]))
+            gains.append(gain)
+            tell_gain(optimizer, design, gain)
+            if gain.failed:
+                failed = torch.cat((failed, design[None]))
+            if progress:
+                progress(
+                    f"design {len(gains)}/{evaluations}: We {float(design[0]):6.1f}  R_inf* {float(design[1]):.3f}  "
+                    f"EIG {gain.value:.3f} +- {gain.variance**0.5:.3f} nats"
+                )
+    return DesignSearch(optimizer.recommend(), designs, tuple(gains), optimizer)
+
+
+def _evaluate(
+    acquisition: ExpectedInformationGain, designs: Tensor, seed: int, done: int, common: bool
+) -> list[InformationGain]:
+    """Gains of designs each alone, from draws common to a whole search or of each evaluation's own."""
+    if common:
+        acquisition.seed = child(seed, "eig", 0)
+        return acquisition.estimate_each(designs)
+    gains = []
+    for number, design in enumerate(designs, start=done):
+        acquisition.seed = child(seed, "eig", number)
+        gains.append(acquisition.estimate(design[None]))
+    return gains

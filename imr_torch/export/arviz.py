@@ -6,7 +6,6 @@ that of whole experiments, so that ArviZ's leave-one-out leaves out an experimen
 Needs the extra ``imr-torch[arviz]``.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -180,16 +179,17 @@ def _history(campaign: Campaign) -> Variables:
     numbers = [step.number for step in steps]
     designs = [campaign.experiments[number - 1].design for number in numbers]
     logs = torch.stack([step.belief.log_probabilities for step in steps])
-    evidence: Mapping[str, list[list[float]]] = {
-        name: [[getattr(e, name) for e in step.evidence] for step in steps] for name in ("value", "error")
+    known = all(step.evidence for step in steps)  # the published way to learn has none
+    values, errors = ([[getattr(e, name) for e in step.evidence] for step in steps] for name in ("value", "error"))
+    evidence = {
+        "log_evidence": _variable(("step", "model"), values, units="nat", long_name="of all experiments so far"),
+        "log_evidence_error": _variable(("step", "model"), errors, units="nat"),
     }
-    return {
+    return (evidence if known else {}) | {
         "step": _variable(("step",), numbers),
         "model": _variable(("model",), list(campaign.prior.keys)),
         "weber": _variable(("step",), [weber for weber, _ in designs], units="1", long_name="Weber number"),
         "rest_radius": _variable(("step",), [rest for _, rest in designs], units="R_inf/Rmax"),
         "log_probability": _variable(("step", "model"), logs, units="nat"),
-        "log_evidence": _variable(("step", "model"), evidence["value"], units="nat", long_name="of all experiments so far"),
-        "log_evidence_error": _variable(("step", "model"), evidence["error"], units="nat"),
         "entropy": _variable(("step",), [float(step.belief.entropy()) for step in steps], units="nat"),
     }

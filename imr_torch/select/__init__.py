@@ -3,6 +3,7 @@
 from imr_torch.select.evidence import Evidence, evidences, log_evidence
 from imr_torch.select.predictive import PredictiveScore, cross_validate, predictive_density
 from imr_torch.select.probabilities import probability_errors, update
+from imr_torch.select.published import published_probabilities
 
 __all__ = [
     "Evidence",
@@ -12,5 +13,6 @@ __all__ = [
     "log_evidence",
     "predictive_density",
     "probability_errors",
+    "published_probabilities",
     "update",
 ]

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from imr_torch.assimilate import EnsembleOptions
-from imr_torch.campaign import Campaign, CampaignSettings, Journal
+from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Journal, Optimal
 from imr_torch.design import Estimator, Plan
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS, Belief, reference_case
@@ -20,11 +20,8 @@ SIMULATOR = PolytropicSimulator(stepping=Stepping(0.25))
 TIMES = torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
 SETTINGS = CampaignSettings(
     plan=Plan(times=TIMES, repeats=20),
-    estimator=Estimator(draws=3),
-    evaluations=5,
-    initial=4,
-    evidence_samples=32,
-    ensemble=EnsembleOptions(members=8, scouts=24, starts=2),
+    policy=Optimal(Estimator(draws=3), evaluations=5, initial=4),
+    learner=ExactLearner(32, EnsembleOptions(members=8, scouts=24, starts=2)),
 )
 LABORATORY = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(CASE.truth), repeats=20, times=TIMES)
 
@@ -59,7 +56,7 @@ def test_the_journal_holds_what_was_asked_measured_and_concluded(finished):
     kinds = [event["event"] for event in Journal(finished.journal.folder).events]
     assert kinds == ["start", "ask", "experiment", "belief", "ask", "experiment", "belief"]
     asked = finished.journal.find("ask", 1)
-    assert len(asked["evaluations"]) == SETTINGS.evaluations
+    assert len(asked["evaluations"]) == SETTINGS.policy.evaluations
     assert asked["design"] == pytest.approx(list(finished.experiments[0].design))
     assert {"nhkv", "gen_qkv"} == set(finished.journal.find("belief", 2)["certificates"])
 

@@ -13,6 +13,7 @@ from imr_torch.design import (
     Estimator,
     ExpectedInformationGain,
     expected_information_gain,
+    gains_of_each,
     information_bracket,
 )
 from imr_torch.errors import InputDataError, ShapeError
@@ -224,6 +225,29 @@ def test_the_gain_does_not_depend_on_the_units_of_the_parameters(method):
     second = gain(scaled, DESIGNS[:1], plan(), estimator, camera=LinearCamera(units=units))
     assert second.value == pytest.approx(first.value, rel=1e-6)
     assert second.variance == pytest.approx(first.variance, rel=1e-4, abs=1e-12)
+
+
+@pytest.mark.parametrize("method", ["laplace", "importance", "paper"])
+@pytest.mark.parametrize("limit", [math.inf, 0.2], ids=["all succeed", "some fail"])
+def test_gains_of_several_designs_each_alone_are_those_of_one_after_the_other(method, limit):
+    how, camera, estimator = plan(nuisance=BOTH), LinearCamera(limit=limit), Estimator(method, draws=12)
+    found = gains_of_each(TWO, DESIGNS, camera, how, estimator=estimator, seed=4)
+    assert len(found) == 2
+    for each, design in zip(found, DESIGNS, strict=True):
+        alone = gain(TWO, design[None], how, estimator, camera=camera, seed=4)
+        assert each.value == pytest.approx(alone.value, rel=1e-12)
+        assert (each.counted, each.drawn) == (alone.counted, alone.drawn)
+        assert (each.counted < each.drawn) == (limit < math.inf)
+
+
+def test_gains_of_several_bubbles_together_are_those_of_each_alone():
+    """Full solves: members of a batch do not know of each other."""
+    belief, designs = reference_case("stiff-pa").prior, torch.tensor([[200.0, 0.28], [900.0, 0.15]], dtype=torch.float64)
+    simulator, estimator = PolytropicSimulator(stepping=Stepping(0.25)), Estimator(draws=3)
+    found = gains_of_each(belief, designs, simulator, plan(), estimator=estimator, seed=1)
+    for each, design in zip(found, designs, strict=True):
+        alone = expected_information_gain(belief, design[None], simulator, plan(), estimator=estimator, seed=1)
+        assert each.value == pytest.approx(alone.value, rel=1e-6)
 
 
 def test_a_model_of_negligible_probability_costs_nothing():

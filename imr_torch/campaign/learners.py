@@ -1,0 +1,150 @@
+"""How a campaign learns from its experiments: as Bayes' rule has it, or as was published.
+
+:class:`ExactLearner` starts from the prior at every step and uses every curve of every experiment once, so Gaussian
+approximations do not pile up. :class:`PaperLearner` is the method of arXiv 2409.00011, kept to compare with: it assimilates
+one design at a time with a tempered misfit, multiplies the result into the belief it started from, and averages model
+probabilities over designs.
+"""
+
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any, Protocol
+
+import torch
+
+from imr_torch.assimilate import Assimilation, EnsembleOptions, PublishedOptions, assimilate, assimilate_published, weigh
+from imr_torch.errors import InputDataError
+from imr_torch.material import Belief, ModelBelief
+from imr_torch.observe import ExperimentBatch
+from imr_torch.random import child
+from imr_torch.select import Evidence, evidences, published_probabilities, update
+from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
+
+
+@dataclass(frozen=True)
+class Harvest:
+    """What there is to learn from.
+
+    Args:
+        prior: belief before the first experiment.
+        belief: belief before the last ``fresh`` of them.
+        batch: all experiments, cut to the window that is assimilated.
+        fresh: how many were told since ``belief``.
+        seed: of the campaign.
+    """
+
+    prior: Belief
+    belief: Belief
+    batch: ExperimentBatch
+    fresh: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What was learnt.
+
+    Args:
+        belief: after all experiments.
+        evidence: of each model, all experiments together; empty if the method knows none.
+        record: what else the journal keeps, JSON-ready.
+        assimilation: the fits; None if the method makes none to all experiments.
+    """
+
+    belief: Belief
+    evidence: tuple[Evidence, ...] = ()
+    record: dict[str, Any] = field(default_factory=dict)
+    assimilation: Assimilation | None = None
+
+
+class Learner(Protocol):
+    """Turns experiments into a belief; a frozen dataclass."""
+
+    def learn(self, harvest: Harvest, simulator: Simulator, *, progress: Progress | None = None) -> Lesson:
+        """The belief after all experiments, a function of the harvest alone."""
+        ...
+
+
+@dataclass(frozen=True)
+class ExactLearner:
+    """All data with their own likelihood, the prior once, and evidence.
+
+    Args:
+        samples: importance samples of each model and round, for evidence and moments.
+        ensemble: how the assimilation searches.
+    """
+
+    samples: int = 256
+    ensemble: EnsembleOptions = field(default_factory=EnsembleOptions)
+
+    def learn(self, harvest: Harvest, simulator: Simulator, *, progress: Progress | None = None) -> Lesson:
+        """See :class:`Learner`."""
+        number = len(harvest.batch.experiments)
+        result = assimilate(
+            harvest.prior,
+            harvest.batch,
+            simulator,
+            seed=child(harvest.seed, "assimilate", number),
+            options=self.ensemble,
+            progress=progress,
+        )
+        result = weigh(result, simulator, seed=child(harvest.seed, "weigh", number), samples=self.samples)
+        evidence = evidences(result)
+        record = {
+            "certificates": {fit.model: finite(asdict(fit.certificate)) for fit in result.fits},
+            "gaussian_answer": {fit.model: fit.trust for fit in result.fits},
+        }
+        return Lesson(update(result, evidence), evidence, record, result)
+
+
+@dataclass(frozen=True)
+class PaperLearner:
+    """The method of arXiv 2409.00011, defects included.
+
+    Args:
+        options: sizes of the assimilation.
+    """
+
+    options: PublishedOptions = field(default_factory=PublishedOptions)
+
+    def learn(self, harvest: Harvest, simulator: Simulator, *, progress: Progress | None = None) -> Lesson:
+        """See :class:`Learner`.
+
+        Raises:
+            InputDataError: if the design or the clock of an experiment is uncertain, which the method cannot express.
+        """
+        batch, belief, record = harvest.batch, harvest.belief, {}
+        if bool((batch.nuisance_sds > 0.0).any()):
+            raise InputDataError("PaperLearner takes designs and clocks as exact; give experiments without nuisances.")
+        count = len(batch.experiments)
+        for number in range(count - harvest.fresh + 1, count + 1):
+            experiment = batch.experiments[number - 1]
+            fits = assimilate_published(
+                belief,
+                experiment,
+                batch.noise,
+                simulator,
+                seed=child(harvest.seed, "assimilate", number),
+                options=self.options,
+                progress=progress,
+            )
+            here = published_probabilities(fits, experiment, batch.noise)
+            so_far = belief.log_probabilities.exp() if number > 1 else torch.zeros_like(here)
+            parts = tuple(product(fit.prior, fit.posterior) for fit in fits)
+            belief = Belief(parts, ((so_far * (number - 1) + here) / number).log())
+            record = {"probabilities_of_this_design": dict(zip(belief.keys, here.tolist(), strict=True))}
+        return Lesson(belief, record=record)
+
+
+def product(first: ModelBelief, second: ModelBelief) -> ModelBelief:
+    """The normalised product of the Gaussians of two beliefs that share their maps."""
+    precisions = [torch.cholesky_inverse(part.chol) for part in (first, second)]
+    covariance = torch.linalg.inv(precisions[0] + precisions[1])
+    mean = covariance @ (precisions[0] @ first.mean + precisions[1] @ second.mean)
+    return first.with_gaussian(mean, torch.linalg.cholesky(0.5 * (covariance + covariance.mT)))
+
+
+def finite(values: dict[str, Any]) -> dict[str, Any]:
+    """Numbers that are not finite as None, since JSON has no word for them."""
+    return {k: (None if isinstance(v, float) and not math.isfinite(v) else v) for k, v in values.items()}

@@ -1,0 +1,208 @@
+"""Who decides what is shot next: the most informative design, a random one, a space-filling one, or a list made before.
+
+A policy sees what is believed, what can be shot and which experiment it is, and answers with a :class:`Proposal`. All are
+frozen dataclasses, so a journal can tell whether it was written by the same one. Baselines cost nothing and estimate no
+gain.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import torch
+from botorch.utils.sampling import draw_sobol_samples
+from torch import Tensor
+
+from imr_torch.design import (
+    PAPER_PLAN,
+    POLICIES,
+    DesignOptimizer,
+    DesignSearch,
+    DesignSpace,
+    Estimator,
+    ExpectedInformationGain,
+    InformationGain,
+    Plan,
+    Policy,
+    Recommendation,
+    search_design,
+    tell_gain,
+)
+from imr_torch.errors import InputDataError
+from imr_torch.material import Belief
+from imr_torch.random import child, generator
+from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What a policy may look at.
+
+    Args:
+        number: of the experiment that is to be chosen, from 1.
+        belief: what is thought of the gel now.
+        simulator: makes the bubbles.
+        space: designs that may be asked for.
+        plan: how the experiment will be observed.
+        seed: of the campaign.
+    """
+
+    number: int
+    belief: Belief
+    simulator: Simulator
+    space: DesignSpace
+    plan: Plan
+    seed: int
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A design to shoot next.
+
+    Args:
+        step: number of the experiment, from 1.
+        design: ``2`` tensor, (We, R_inf*).
+        gain: expected information gain there, nats (posterior mean of the surrogate); None if the policy estimates none.
+        gain_sd: its standard deviation.
+        search: how it was found; None if it was not searched for, or was read back from a journal.
+    """
+
+    step: int
+    design: Tensor
+    gain: float | None = None
+    gain_sd: float | None = None
+    search: DesignSearch | None = None
+
+
+class DesignPolicy(Protocol):
+    """Chooses designs; a frozen dataclass."""
+
+    def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+        """The next design, a function of the situation alone."""
+        ...
+
+
+@dataclass(frozen=True)
+class Optimal:
+    """The design of largest expected information gain, by Bayesian optimisation.
+
+    Args:
+        estimator: how the gain is estimated.
+        evaluations: designs evaluated in each search.
+        initial: of which space-filling.
+        batch: designs that are asked for and simulated together after those.
+        common: whether all evaluations of a search share their draws.
+        acquisition: how the search chooses designs, and the last.
+        plan: how the experiment will be observed, if not as the campaign says.
+    """
+
+    estimator: Estimator = field(default_factory=lambda: Estimator(draws=48))
+    evaluations: int = 25
+    initial: int = 10
+    batch: int = 1
+    common: bool = True
+    acquisition: Policy = field(default_factory=Policy)
+    plan: Plan | None = None
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.initial <= self.evaluations:
+            raise InputDataError(
+                f"Optimal has initial {self.initial} of {self.evaluations} evaluations; expected 2 <= initial <= evaluations."
+            )
+        if self.batch < 1:
+            raise InputDataError(f"Optimal.batch is {self.batch}; expected at least 1.")
+
+    def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+        """See :class:`DesignPolicy`."""
+        acquisition = ExpectedInformationGain(
+            situation.belief,
+            situation.simulator,
+            plan=self.plan or situation.plan,
+            space=situation.space,
+            estimator=self.estimator,
+        )
+        search = search_design(
+            acquisition,
+            seed=child(situation.seed, "design", situation.number),
+            evaluations=self.evaluations,
+            initial=self.initial,
+            batch=self.batch,
+            policy=self.acquisition,
+            common=self.common,
+            progress=progress,
+        )
+        best = search.recommendation
+        return Proposal(situation.number, best.design, best.mean, best.sd, search)
+
+    def rebuild(self, record: dict[str, Any], space: DesignSpace, seed: int) -> DesignSearch:
+        """The search behind a journal's ``ask`` (see :meth:`imr_torch.campaign.Campaign.search`)."""
+        rows = [dict(row) for row in record["evaluations"]]
+        designs = torch.tensor([row.pop("design") for row in rows], dtype=torch.float64)
+        gains = tuple(InformationGain(**row) for row in rows)
+        optimizer = DesignOptimizer(
+            space, seed=child(seed, "design", record["step"]), initial=self.initial, policy=self.acquisition
+        )
+        for design, gain in zip(designs, gains, strict=True):
+            tell_gain(optimizer, design, gain)
+        best = Recommendation(torch.tensor(record["design"], dtype=torch.float64), record["gain"], record["gain_sd"])
+        return DesignSearch(best, designs, gains, optimizer)
+
+
+PAPER_OPTIMAL = Optimal(Estimator("paper", draws=500), common=False, acquisition=POLICIES["paper"], plan=PAPER_PLAN)
+"""The search of arXiv 2409.00011: 1000 draws of both models a design, 10 + 15 designs, the best observed wins."""
+
+
+@dataclass(frozen=True)
+class Random:
+    """Designs drawn uniformly from the space, each for itself."""
+
+    def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+        """See :class:`DesignPolicy`."""
+        space, source = situation.space, generator(child(situation.seed, "random design", situation.number))
+        if space.choices is not None:
+            row = torch.randint(len(space.choices), (1,), generator=source)
+            return Proposal(situation.number, space.choices[row[0]])
+        low, high = space.bounds
+        drawn = low + (high - low) * torch.rand(1, 2, generator=source, dtype=torch.float64)
+        return Proposal(situation.number, space.settle(drawn)[0])
+
+
+@dataclass(frozen=True)
+class SpaceFilling:
+    """Designs of a scrambled Sobol sequence, which leaves no region out and repeats none."""
+
+    def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+        """See :class:`DesignPolicy`."""
+        seed = child(situation.seed, "space-filling") % 2**31
+        points = draw_sobol_samples(situation.space.bounds, n=situation.number, q=1, seed=seed)[:, 0]
+        return Proposal(situation.number, situation.space.settle(points)[-1])
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """A list of designs made before, in order.
+
+    Args:
+        designs: (We, R_inf*) of each experiment.
+    """
+
+    designs: tuple[tuple[float, float], ...]
+
+    def __post_init__(self) -> None:
+        if not self.designs:
+            raise InputDataError("Fixed.designs is empty; name at least one (We, R_inf*).")
+
+    def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+        """See :class:`DesignPolicy`.
+
+        Raises:
+            InputDataError: when the list is at its end, or the design is outside the space.
+        """
+        if situation.number > len(self.designs):
+            raise InputDataError(
+                f"The list holds {len(self.designs)} designs and number {situation.number} was asked for; "
+                "ask for fewer experiments, or start a campaign with a longer list."
+            )
+        design = torch.tensor(self.designs[situation.number - 1], dtype=torch.float64)
+        situation.space.check(design)
+        return Proposal(situation.number, design)

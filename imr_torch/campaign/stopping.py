@@ -1,0 +1,222 @@
+"""When to stop shooting: small rules that say why, alone or combined.
+
+A rule looks at what is believed and what was done, and answers with a reason or with None. ``AnyOf`` and ``AllOf`` combine
+rules; a rule about the gain of the next experiment holds its tongue until a policy has estimated it.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+from imr_torch.errors import InputDataError
+from imr_torch.material import Belief
+from imr_torch.observe import Experiment
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where a campaign stands before its next experiment.
+
+    Args:
+        belief: what is thought of the gel now.
+        experiments: all that were told.
+        gain: expected information gain of the experiment that is proposed, nats; None when not known.
+    """
+
+    belief: Belief
+    experiments: tuple[Experiment, ...]
+    gain: float | None = None
+
+
+class StoppingRule(Protocol):
+    """Says whether to stop; a frozen dataclass."""
+
+    def reason(self, standing: Standing) -> str | None:
+        """Why to stop now, or None."""
+        ...
+
+
+@dataclass(frozen=True)
+class Designs:
+    """Stop after a number of experiments.
+
+    Args:
+        count: how many.
+    """
+
+    count: int
+
+    def __post_init__(self) -> None:
+        if self.count < 1:
+            raise InputDataError(f"Designs.count is {self.count}; expected at least 1.")
+
+    def reason(self, standing: Standing) -> str | None:
+        """See :class:`StoppingRule`."""
+        done = len(standing.experiments)
+        return f"{done} designs were shot" if done >= self.count else None
+
+
+@dataclass(frozen=True)
+class RelativeSd:
+    """Stop when every parameter of the most probable model is known well enough.
+
+    Args:
+        below: posterior standard deviation over posterior mean; a parameter of mean 0 is never known so well.
+    """
+
+    below: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.below < math.inf:
+            raise InputDataError(f"RelativeSd.below is {self.below}; expected a positive number, such as 0.01.")
+
+    def reason(self, standing: Standing) -> str | None:
+        """See :class:`StoppingRule`."""
+        best = standing.belief.best
+        means, sds = best.means.tolist(), best.sds.tolist()
+        if not all(sd < self.below * abs(mean) for mean, sd in zip(means, sds, strict=True)):
+            return None
+        return f"every parameter of {best.model} is known within {100 * self.below:g} % (one standard deviation)"
+
+
+@dataclass(frozen=True)
+class ModelProbability:
+    """Stop when one model is probable enough.
+
+    Args:
+        above: its posterior probability.
+    """
+
+    above: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.above < 1.0:
+            raise InputDataError(f"ModelProbability.above is {self.above}; expected a probability between 0 and 1.")
+
+    def reason(self, standing: Standing) -> str | None:
+        """See :class:`StoppingRule`."""
+        best = standing.belief.best.model
+        probable = standing.belief.probabilities[best] > self.above
+        return f"{best} has a probability above {self.above:g}" if probable else None
+
+
+@dataclass(frozen=True)
+class GainBelow:
+    """Stop when the best next experiment is expected to tell little.
+
+    Args:
+        nats: least expected information gain worth an experiment.
+    """
+
+    nats: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.nats < math.inf:
+            raise InputDataError(f"GainBelow.nats is {self.nats}; expected a positive number of nats.")
+
+    def reason(self, standing: Standing) -> str | None:
+        """See :class:`StoppingRule`."""
+        if standing.gain is None or standing.gain >= self.nats:
+            return None
+        return f"the next design is expected to tell less than {self.nats:g} nats"
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Stop when the next experiment, as dear as the last, would cost more than there is.
+
+    Args:
+        total: what there is, in any unit.
+        per_design: cost of setting up a design.
+        per_curve: cost of each repeat.
+    """
+
+    total: float
+    per_design: float = 1.0
+    per_curve: float = 0.0
+
+    def __post_init__(self) -> None:
+        costs = (self.total, self.per_design, self.per_curve)
+        if not all(0.0 <= c < math.inf for c in costs) or self.per_design + self.per_curve <= 0.0:
+            raise InputDataError(
+                f"Budget has total {self.total}, per_design {self.per_design} and per_curve {self.per_curve}; "
+                "expected finite numbers >= 0, and a cost of something."
+            )
+
+    def reason(self, standing: Standing) -> str | None:
+        """See :class:`StoppingRule`."""
+        costs = [self.per_design + self.per_curve * e.repeats for e in standing.experiments]
+        following = costs[-1] if costs else self.per_design + self.per_curve
+        if sum(costs) + following <= self.total:
+            return None
+        return f"{sum(costs):g} of the budget of {self.total:g} are spent"
+
+
+@dataclass(frozen=True)
+class AnyOf:
+    """Stop when one of several rules says so.
+
+    Args:
+        rules: the rules; the first that has a reason gives it.
+    """
+
+    rules: tuple[StoppingRule, ...]
+
+    def reason(self, standing: Standing) -> str | None:
+        """See :class:`StoppingRule`."""
+        return next((reason for rule in self.rules if (reason := rule.reason(standing)) is not None), None)
+
+
+@dataclass(frozen=True)
+class AllOf:
+    """Stop when all of several rules say so.
+
+    Args:
+        rules: the rules, at least one.
+    """
+
+    rules: tuple[StoppingRule, ...]
+
+    def __post_init__(self) -> None:
+        if not self.rules:
+            raise InputDataError("AllOf.rules is empty; it would stop at once. Give at least one rule.")
+
+    def reason(self, standing: Standing) -> str | None:
+        """See :class:`StoppingRule`."""
+        reasons = [rule.reason(standing) for rule in self.rules]
+        return None if None in reasons else " and ".join(filter(None, reasons))
+
+
+_RULES = {"designs": Designs, "sd": RelativeSd, "probability": ModelProbability, "gain": GainBelow, "budget": Budget}
+
+
+def stopping_rule(*texts: str) -> StoppingRule | None:
+    """Rules as they are written on the command line: any of ``texts`` ends a campaign, each of which may ask for several.
+
+    ``stopping_rule("sd=0.01,probability=0.99", "designs=5")`` stops after five designs, or once parameters *and* model are
+    known. ``budget=TOTAL`` or ``budget=TOTAL:PER_DESIGN:PER_CURVE``.
+
+    Returns:
+        The rule, or None without texts.
+
+    Raises:
+        InputDataError: for a text that is no rule.
+    """
+    rules = [_all_of(text) for text in texts]
+    return (rules[0] if len(rules) == 1 else AnyOf(tuple(rules))) if rules else None
+
+
+def _all_of(text: str) -> StoppingRule:
+    rules = tuple(_one(part.strip()) for part in text.split(","))
+    return rules[0] if len(rules) == 1 else AllOf(rules)
+
+
+def _one(text: str) -> StoppingRule:
+    name, _, values = text.partition("=")
+    try:
+        rule, numbers = _RULES[name], [int(v) if name == "designs" else float(v) for v in values.split(":")]
+    except (KeyError, ValueError):
+        rule, numbers = None, []
+    if rule is None or len(numbers) > (3 if name == "budget" else 1):
+        raise InputDataError(f"{text!r} is not a stopping rule; expected NAME=NUMBER with NAME of {', '.join(_RULES)}.")
+    return rule(*numbers)

@@ -1,0 +1,36 @@
+"""The published model probability, for comparison: which posterior ensemble lies nearer to a typical repeat.
+
+The log likelihood of each member is *averaged* over repeats, the likelihood then over the members of the posterior (arXiv
+2409.00011 and the code that came with it), so a hundred repeats say no more than one; and a model is not charged for what
+its prior left open, since the members have seen the data. Evidence is in :mod:`imr_torch.select.evidence`.
+"""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import PublishedFit, as_one_curve
+from imr_torch.observe import Experiment, ExperimentBatch, Noise
+
+
+def published_probabilities(fits: Sequence[PublishedFit], experiment: Experiment, noise: Noise) -> Tensor:
+    """Probability of each model from one experiment alone, without its prior probability.
+
+    Args:
+        fits: of all models to this experiment.
+        experiment: cut to the window that was assimilated.
+        noise: of one curve; its correlation is left out, as published.
+
+    Returns:
+        ``M`` tensor.
+    """
+    batch = ExperimentBatch((as_one_curve(experiment),), noise)
+    sd = batch.sd(batch.mean)[0]
+    logs = []
+    for fit in fits:
+        good = fit.prediction[torch.isfinite(fit.prediction).all(1)]
+        misfit = ((batch.mean[0] - good) / sd).square().sum(1)  # the scatter of the repeats about their mean is common to all
+        logs.append(torch.logsumexp(-0.5 * misfit, 0) - math.log(len(good)))
+    return torch.softmax(torch.stack(logs), 0)

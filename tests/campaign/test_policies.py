@@ -1,0 +1,182 @@
+"""Policies: every one stays in the space, is a function of seed and number, and journals as the optimal one does."""
+
+import shutil
+
+import pytest
+import torch
+
+from imr_torch.assimilate import EnsembleOptions, PublishedOptions
+from imr_torch.campaign import (
+    PAPER_OPTIMAL,
+    Campaign,
+    CampaignSettings,
+    Designs,
+    ExactLearner,
+    Fixed,
+    GainBelow,
+    Journal,
+    Optimal,
+    PaperLearner,
+    Random,
+    RelativeSd,
+    Situation,
+    SpaceFilling,
+)
+from imr_torch.design import PAPER_PLAN, POLICIES, DesignSpace, Estimator, Plan
+from imr_torch.errors import InputDataError
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import SimulatedLaboratory
+from imr_torch.random import child
+from tests.linear import NOISE, LinearSimulator, prior, tensor
+
+SPACE = DesignSpace(weber=(200.0, 900.0), rest_radius=(0.15, 0.25))
+PLAN = Plan(torch.linspace(0.1, 2.0, 9, dtype=torch.float64), repeats=4, noise=NOISE, collapses=None)
+LISTED = Fixed(((300.0, 0.2), (500.0, 0.16), (700.0, 0.24)))
+QUICK = Optimal(Estimator(draws=3), evaluations=4, initial=3)
+LEARNERS = {"exact": ExactLearner(32, EnsembleOptions(scouts=24)), "paper": PaperLearner(PublishedOptions(12, 2, 2))}
+POLICIES_HERE = {"optimal": QUICK, "random": Random(), "space-filling": SpaceFilling(), "fixed": LISTED}
+LABORATORY = SimulatedLaboratory(
+    LinearSimulator(), PARAMETERS.pack({"G": 5600.0, "mu": 0.18}), noise=NOISE, repeats=4, times=PLAN.times
+)
+
+
+def choose(policy, number: int, *, seed: int = 0, space: DesignSpace = SPACE) -> torch.Tensor:
+    return policy.choose(Situation(number, prior(("nhkv",)), LinearSimulator(), space, PLAN, seed)).design
+
+
+def campaign(folder, *, seed: int = 0, **settings) -> Campaign:
+    defaults = {"space": SPACE, "plan": PLAN, "policy": Random(), "learner": LEARNERS["exact"]} | settings
+    return Campaign(folder, prior(("newtonian", "nhkv")), LinearSimulator(), settings=CampaignSettings(**defaults), seed=seed)
+
+
+def shoot(design, number):
+    return LABORATORY.shoot(design, seed=child(0, "shoot", number))
+
+
+@pytest.mark.parametrize("policy", POLICIES_HERE.values(), ids=POLICIES_HERE)
+def test_designs_are_in_the_space_and_the_same_for_the_same_number_and_seed(policy):
+    designs = torch.stack([choose(policy, number) for number in (1, 2, 3)])
+    SPACE.check(designs)
+    assert torch.equal(choose(policy, 2), designs[1])
+    assert float((designs[1:] - designs[:-1]).abs().min()) > 0.0 or policy is QUICK
+
+
+@pytest.mark.parametrize("policy", [QUICK, Random(), SpaceFilling()], ids=["optimal", "random", "space-filling"])
+def test_another_seed_gives_other_designs(policy):
+    assert not torch.equal(choose(policy, 1, seed=1), choose(policy, 1, seed=2))
+
+
+def test_random_designs_are_uniform_and_space_filling_ones_more_even():
+    """Counts in 16 cells of 64 designs: their variance is that of a multinomial for random ones, and far less for Sobol's."""
+
+    def spread(policy) -> float:
+        designs = torch.stack([choose(policy, number) for number in range(1, 65)])
+        unit = (designs - SPACE.bounds[0]) / (SPACE.bounds[1] - SPACE.bounds[0])
+        cells = (unit * 4).long().clamp(0, 3)
+        return float(torch.bincount(4 * cells[:, 0] + cells[:, 1], minlength=16).double().var())
+
+    assert 1.0 < spread(Random()) < 9.0  # 3.75 on average
+    assert spread(SpaceFilling()) == 0.0
+
+
+def test_settings_of_the_laboratory_are_kept():
+    settings = DesignSpace(weber=(200.0, 900.0), rest_radius=(0.15, 0.25), weber_settings=(250.0, 800.0))
+    listed = DesignSpace(designs=((300.0, 0.2), (500.0, 0.16), (700.0, 0.24)))
+    for policy in (Random(), SpaceFilling()):
+        assert {float(choose(policy, n, space=settings)[0]) for n in range(1, 9)} == {250.0, 800.0}
+        assert len({tuple(choose(policy, n, space=listed).tolist()) for n in range(1, 13)}) == 3
+
+
+def test_a_list_is_shot_in_order_and_its_end_is_an_error():
+    assert choose(LISTED, 2).tolist() == [500.0, 0.16]
+    with pytest.raises(InputDataError, match="holds 3 designs and number 4 was asked for"):
+        choose(LISTED, 4)
+    with pytest.raises(InputDataError, match=r"\(2000, 0.2\) is outside"):
+        choose(Fixed(((2000.0, 0.2),)), 1)
+    with pytest.raises(InputDataError, match=r"Fixed.designs is empty"):
+        Fixed(())
+
+
+def test_a_search_asks_in_batches_for_as_many_designs_in_all():
+    found = Optimal(Estimator(draws=3), evaluations=9, initial=4, batch=3).choose(
+        Situation(1, prior(("nhkv",)), LinearSimulator(), SPACE, PLAN, 0)
+    )
+    assert found.search is not None
+    assert len(found.search.designs) == len(found.search.gains) == 9
+    assert len(torch.unique(found.search.designs, dim=0)) == 9
+    assert found.gain == found.search.recommendation.mean
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"evaluations": 5, "initial": 6}, "initial 6 of 5 evaluations"),
+        ({"initial": 1}, "initial 1 of 25"),
+        ({"batch": 0}, "Optimal.batch is 0; expected at least 1"),
+    ],
+    ids=str,
+)
+def test_a_search_that_cannot_be_is_refused(options, message):
+    with pytest.raises(InputDataError, match=message):
+        Optimal(**options)
+
+
+def test_the_papers_search_is_the_published_one():
+    assert Optimal(Estimator("paper", draws=500), 25, 10, 1, False, POLICIES["paper"], PAPER_OPTIMAL.plan) == PAPER_OPTIMAL
+    assert PAPER_OPTIMAL.plan is PAPER_PLAN
+    assert CampaignSettings.paper().policy is PAPER_OPTIMAL
+
+
+@pytest.mark.parametrize("learner", LEARNERS.values(), ids=LEARNERS)
+@pytest.mark.parametrize("policy", POLICIES_HERE.values(), ids=POLICIES_HERE)
+def test_resuming_with_any_policy_and_learner_gives_the_uninterrupted_journal_byte_for_byte(tmp_path, policy, learner):
+    kinds = {"policy": policy, "learner": learner, "stop": Designs(2)}
+    whole = campaign(tmp_path / "whole", **kinds)
+    whole.run(shoot, 9)
+    lines = whole.journal.path.read_bytes().splitlines(keepends=True)
+    assert [event["event"] for event in whole.journal.events] == ["start", *["ask", "experiment", "belief"] * 2, "stop"]
+    for events in (2, 3, 5, 6, 7, 8):
+        shutil.copytree(tmp_path / "whole", tmp_path / f"cut{events}")
+        (tmp_path / f"cut{events}" / "journal.jsonl").write_bytes(b"".join(lines[:events]))
+        resumed = campaign(tmp_path / f"cut{events}", **kinds)
+        resumed.run(shoot, 9)
+        assert resumed.journal.path.read_bytes() == b"".join(lines)
+
+
+def test_a_campaign_of_another_policy_learner_or_rule_is_refused(tmp_path):
+    campaign(tmp_path, policy=SpaceFilling(), stop=Designs(2))
+    for changes in ({"policy": Random()}, {"learner": PaperLearner()}, {"stop": Designs(3)}, {"stop": None}):
+        with pytest.raises(InputDataError, match="journal of another campaign: settings differ"):
+            campaign(tmp_path, **({"policy": SpaceFilling(), "stop": Designs(2)} | changes))
+
+
+def test_a_campaign_stops_before_the_experiment_that_is_not_worth_it_and_says_why(tmp_path):
+    run = campaign(tmp_path / "gain", policy=QUICK, stop=GainBelow(1e3))
+    assert len(run.run(shoot, 5)) == 0
+    assert Journal(tmp_path / "gain").find("stop", 0)["reason"] == "the next design is expected to tell less than 1000 nats"
+    run = campaign(tmp_path / "sd", stop=RelativeSd(0.03))
+    steps = run.run(shoot, 40)
+    assert 0 < len(steps) < 40
+    part = steps[-1].belief.best
+    assert float((part.sds / part.means).max()) < 0.03
+    before = steps[-2].belief.best if len(steps) > 1 else run.prior.best
+    assert float((before.sds / before.means).max()) >= 0.03
+    assert campaign(tmp_path / "sd", stop=RelativeSd(0.03)).reason_to_stop() == run.reason_to_stop()
+
+
+def test_more_designs_may_be_asked_of_a_campaign_that_was_resumed(tmp_path):
+    campaign(tmp_path).run(shoot, 1)
+    assert [step.number for step in campaign(tmp_path).run(shoot, 3)] == [1, 2, 3]
+
+
+def test_a_policy_without_gain_proposes_none_and_has_no_search(tmp_path):
+    run = campaign(tmp_path)
+    proposal = run.ask()
+    assert (proposal.gain, proposal.gain_sd, run.search(1)) == (None, None, None)
+    assert campaign(tmp_path).ask().design.tolist() == proposal.design.tolist()
+
+
+def test_several_experiments_told_together_are_not_learnt_from_again(tmp_path):
+    run = campaign(tmp_path)
+    run.tell(shoot(tensor(300.0, 0.2), 1), shoot(tensor(600.0, 0.18), 2))
+    assert [step.number for step in campaign(tmp_path).run(shoot, 2)] == [2]
