@@ -41,6 +41,7 @@ DESIGNS = {"stiff-pa": (900.0, 0.28), "soft-pa": (400.0, 0.22)}
 SIMULATORS = {"polytropic": PolytropicSimulator, "full": TransportSimulator}
 UNCERTAIN = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)
 VARIANTS = ("default", "nuisances", "halved-noise", "tempered")
+ANSWERS = {"gaussian": "Gaussian answer", "reported": "what is reported", "weighed": "weighed draws"}
 LEVELS = (0.5, 0.9)
 SEED = 0
 
@@ -134,15 +135,15 @@ def ranks(job: Job, count: int, folder: Path, at_once: int) -> None:
     verdicts = Counter(r.verdict for r in found)
     print(f"{job.file(folder).stem}: {len(found)} replicates, {len(every) - len(found)} failed, {dict(verdicts)}")
     print(f"  not converged {sum(not r.converged for r in found)}, gels redrawn {sum(r.redrawn for r in every)}")
-    figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.4), layout="constrained", sharey=True)
-    for ax, kind, title in zip(axes, ("gaussian", "weighed"), ("Gaussian answer", "weighed draws"), strict=True):
+    figure, axes = plt.subplots(1, len(ANSWERS), figsize=(12.6, 3.4), layout="constrained", sharey=True)
+    for ax, kind, title in zip(axes, ANSWERS, ANSWERS.values(), strict=True):
         for name, values in places(found, kind):
             test = uniformity(values)
             shares = [coverage(values, level) for level in LEVELS]
             words = ", ".join(f"{c.level:.0%} covers {c.share:.3f} ({c.low:.3f}-{c.high:.3f})" for c in shares)
             print(
                 f"  {kind:8s} {name:14s} n {test.count:4d}  {words}  p: chi-square {test.chi_square_p:.3f}, "
-                f"ECDF {test.kolmogorov_p:.3f}"
+                f"ECDF {test.kolmogorov_p:.3f}, spread {test.spread:.3f} {test.spread_p:.3f}"
             )
         plot_places(dict(places(found, kind)), ax=ax)
         ax.set_title(title)

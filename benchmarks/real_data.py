@@ -169,7 +169,9 @@ def remarks(result: Characterization, best: ModelFit) -> list[str]:
         if abs(value) > _FAR:
             found.append(f"{name} {value:+.1f} prior sd")
     for e, row in enumerate(best.nuisances.tolist()):
-        found += [f"{batch.experiments[e].label}: {n} {w:+.1f} sd" for n, w in zip(NUISANCES, row, strict=True) if abs(w) > _FAR]
+        found += [
+            f"{batch.experiments[e].label}: {n} {w:+.1f} sd" for n, w in zip(NUISANCES, row, strict=True) if abs(w) > _FAR
+        ]
     return found + _odd_curves(result, best) + _where(result, best)
 
 
@@ -214,7 +216,12 @@ def _line(row: dict[str, Any]) -> str:
     if "failure" in row:
         return f"| {row['set']} | | {row['failure']} |" + " |" * 9
     model = row["models"][row["best"]]
-    answer = model["gaussian_answer"].removeprefix("Gaussian answer ").split(", means")[0].removesuffix("); take more samples, or NUTS")
+    answer = (
+        model["gaussian_answer"]
+        .removeprefix("Gaussian answer ")
+        .split(", means")[0]
+        .removesuffix("); take more samples, or NUTS")
+    )
     cells = [
         row["set"],
         f"{row['curves']}{', R_inf assumed' if row['rest_assumed'] else ''}",

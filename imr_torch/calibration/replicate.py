@@ -22,7 +22,7 @@ from imr_torch.assimilate import Assimilation, EnsembleOptions, ImportanceSample
 from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError, ConvergenceWarning
 from imr_torch.material import Belief
-from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory, collapse_time
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, SimulatedLaboratory, collapse_time
 from imr_torch.random import child, generator
 from imr_torch.select import evidences, update
 from imr_torch.simulate import Simulator, simulate_together
@@ -63,6 +63,7 @@ class Replicate:
         model: the truth's.
         gaussian: for each of its parameters, probability that the fit's Gaussian gives to values below the truth.
         weighed: the same of the weighed draws, the truth counted as one more of them.
+        reported: the same of the posterior that users are given, which is the Gaussian or, where weighing repaired it, another.
         log_likelihood: the same of the log likelihood; None where nuisances are uncertain.
         z: (truth - mean)/sd of the Gaussian, in controls.
         probabilities: of all models after the data.
@@ -80,6 +81,7 @@ class Replicate:
     model: str
     gaussian: dict[str, float] = field(default_factory=dict)
     weighed: dict[str, float] = field(default_factory=dict)
+    reported: dict[str, float] = field(default_factory=dict)
     log_likelihood: float | None = None
     z: dict[str, float] = field(default_factory=dict)
     probabilities: dict[str, float] = field(default_factory=dict)
@@ -142,17 +144,21 @@ def _replicate(arrangement: Arrangement, number: int, seed: int, simulator: Simu
     sample = _sample(fit)
     lots = torch.rand(len(truth.controls) + 1, generator=generator(child(seed, "lots")), dtype=torch.float64).tolist()
     names = fit.prior.names
-    z = ((truth.controls - fit.mean) / torch.linalg.norm(fit.chol, dim=1)).tolist()
+    z = (truth.controls - fit.mean) / torch.linalg.norm(fit.chol, dim=1)
+    reported = fit.posterior
+    at = fit.prior.mean + fit.prior.chol @ truth.controls
+    z_reported = (at - reported.mean) / torch.linalg.norm(reported.chol, dim=1)
     above = truth.controls - sample.controls
     known = not bool((batch.nuisance_sds > 0.0).any())
     likely = sample.by_experiment.sum(1) - float(batch.log_likelihood(truth.curve).sum()) if known else None
     return Replicate(
         number=number,
         model=truth.model,
-        gaussian={name: 0.5 * math.erfc(-value / math.sqrt(2.0)) for name, value in zip(names, z, strict=True)},
+        gaussian=dict(zip(names, torch.special.ndtr(z).tolist(), strict=True)),
         weighed={name: _place(sample, above[:, i] > 0.0, lots[i]) for i, name in enumerate(names)},
+        reported=dict(zip(names, torch.special.ndtr(z_reported).tolist(), strict=True)),
         log_likelihood=None if likely is None else _place(sample, likely < 0.0, lots[-1]),
-        z=dict(zip(names, z, strict=True)),
+        z=dict(zip(names, z.tolist(), strict=True)),
         probabilities=update(result, evidences(result)).probabilities,
         information=information(result),
         verdict=fit.verdict.value,
@@ -187,8 +193,8 @@ def _draw(arrangement: Arrangement, seed: int, simulator: Simulator) -> _Truth:
     raise ConvergenceError(f"None of {_ATTEMPTS} gels of the prior of {part.model!r} could be simulated at {design.tolist()}.")
 
 
-def _as_it_is(experiment: Experiment, noise: object) -> ExperimentBatch:
-    return ExperimentBatch((experiment,), noise)  # type: ignore[arg-type]
+def _as_it_is(experiment: Experiment, noise: Noise) -> ExperimentBatch:
+    return ExperimentBatch((experiment,), noise)
 
 
 def _sample(fit: ModelFit) -> ImportanceSample:
