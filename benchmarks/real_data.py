@@ -1,6 +1,6 @@
 """What measured curves say of their gels: every file of a folder through `characterize`, and what looks wrong.
 
-  python benchmarks/real_data.py FOLDER [--sets gelatin,pa] [--curves 3] [--scores] [--out out/real_data]
+  python benchmarks/real_data.py FOLDER [--sets gelatin,pa] [--curves 2] [--scores] [--out out/real_data]
 
 FOLDER holds one CSV file a gel, as `load_traces` reads them. Heat and vapour transport, wide prior over three models,
 Rmax, time zero and R_inf of each curve uncertain, noise estimated, window of two collapses. Records without a tail are given
@@ -258,7 +258,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--sets", help="only files whose names begin with one of these, comma-separated, in this order")
-    parser.add_argument("--curves", type=int, default=3, help="most curves of a file, evenly spread; 0 for all")
+    parser.add_argument("--curves", type=int, default=2, help="most curves of a file, evenly spread; 0 for all")
     parser.add_argument("--scores", action="store_true", help="also hold curves out")
     parser.add_argument("--physics", choices=tuple(SIMULATORS), default="full")
     parser.add_argument("--starts", type=int, default=2, help="searches per model")

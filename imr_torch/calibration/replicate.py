@@ -203,7 +203,7 @@ def _sample(fit: ModelFit) -> ImportanceSample:
 
 
 def _place(sample: ImportanceSample, below: Tensor, lot: float) -> float:
-    """Share of a posterior below the truth, which counts as one more effective draw, with a uniform number for its own share."""
+    """Share of a posterior below the truth, which is taken for one more effective draw, ``lot`` of it below itself."""
     count = sample.effective_samples
     return (count * float(sample.weights @ below.double()) + lot) / (count + 1.0)
 

@@ -214,5 +214,9 @@ def rank_correlation(expected: Tensor, realised: Tensor, *, resamples: int = 100
         )
     repeats = realised.shape[1]
     rows = torch.randint(repeats, (resamples, repeats), generator=generator(seed))
-    values = [float(stats.spearmanr(expected, realised[:, row].mean(1))[0]) for row in rows]
-    return float(stats.spearmanr(expected, realised.mean(1))[0]), float(np.std(values, ddof=1))
+    values = [_spearman(expected, realised[:, row]) for row in rows]
+    return _spearman(expected, realised), float(np.std(values, ddof=1))
+
+
+def _spearman(expected: Tensor, realised: Tensor) -> float:
+    return float(stats.spearmanr(expected.numpy(), realised.mean(1).numpy()).statistic)  # type: ignore[attr-defined]
