@@ -69,7 +69,8 @@ def weigh(assimilation: Assimilation, simulator: Simulator, *, seed: int, sample
         assimilation: the fits; not changed.
         simulator: the simulator they were made with.
         seed: of the draws.
-        samples: draws per model and round, each one simulation per experiment (two where nuisances are uncertain).
+        samples: draws per model in the first two rounds, each one simulation per experiment (two where nuisances are
+            uncertain); every later round has twice as many as the one before, so that chance alone cannot go on refusing.
         rounds: most rounds; a model stops when the weights are reliable and their moments those that the proposal was
             made for, which after the first round are those of the fit's Gaussian.
 
@@ -88,7 +89,8 @@ def weigh(assimilation: Assimilation, simulator: Simulator, *, seed: int, sample
     found = {fit.model: fit for fit in fits}
     waiting = list(fits)
     for number in range(rounds):
-        draws = [_draw(f, batch, proposals[f.model][-1], samples, child(seed, "weigh", f.model, number)) for f in waiting]
+        count = samples * 2 ** max(0, number - 1)
+        draws = [_draw(f, batch, proposals[f.model][-1], count, child(seed, "weigh", f.model, number)) for f in waiting]
         for fit, part in zip(waiting, _simulate(waiting, draws, batch, simulator), strict=True):
             parts[fit.model].append(part)
             found[fit.model] = _judge(found[fit.model], proposals[fit.model][-1], part)
