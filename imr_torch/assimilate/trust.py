@@ -24,6 +24,7 @@ from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 
+
 @dataclass(frozen=True)
 class _Draws:
     """Draws of one model in one round.
