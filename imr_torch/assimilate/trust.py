@@ -3,8 +3,9 @@
 Each fit's Gaussian, with heavier tails, proposes draws that are weighed by the exact posterior. Nuisances are integrated
 out for each draw and each experiment by importance sampling from their conditional Gaussian, in opposite pairs, which
 cancels its skewness; the product over experiments is without bias (pseudo-marginal: Andrieu & Roberts, Ann. Stat. 37,
-2009). That Gaussian is at first the fit's, moved linearly with the gel, and after the first round each draw's own. Draws of all models are simulated in one call a round; a model whose Gaussian does not stand gets another round, with
-a proposal made from its weighed draws, until that one stands.
+2009). That Gaussian is at first the fit's, moved linearly with the gel, and after the first round each draw's own. Draws of
+all models are simulated in one call a round; a model whose Gaussian does not stand gets another round, with a proposal made
+from its weighed draws, until that one stands.
 
 Weights tell of what the draws came near. Another mode far from all of them stays unseen here; against that stands the
 agreement of the starts in the fit's certificate.
@@ -16,8 +17,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.conditional import conditional_nuisances, possible_nuisances
+from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.importance import ImportanceSample, Proposal, mixture_log_prob, smooth
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.observe import ExperimentBatch, predict
