@@ -3,7 +3,7 @@
 Every ``plot_*`` draws into ``ax`` (a new figure when None) and returns the axes; nothing is shown or saved here.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import matplotlib
 
@@ -13,6 +13,7 @@ import torch
 from matplotlib.axes import Axes
 from torch import Tensor
 
+from imr_torch.calibration import Reliability, envelope
 from imr_torch.design import DesignSearch
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Experiment
@@ -107,4 +108,34 @@ def plot_information(search: DesignSearch, *, ax: Axes | None = None) -> Axes:
     design = search.recommendation.design
     ax.plot(float(design[0]), float(design[1]), "*", ms=16, color=TRUTH, mec="white")
     ax.set(xlabel="We", ylabel="R_inf*", title="chosen design: star")
+    return ax
+
+
+def plot_places(places: Mapping[str, Sequence[float]], *, ax: Axes | None = None) -> Axes:
+    """Empirical distribution of where truths lie in their posteriors, less the diagonal; in the band 95 % of the time."""
+    ax = _axes(ax)
+    for name, values in places.items():
+        at = torch.as_tensor(sorted(values), dtype=torch.float64)
+        share = torch.arange(1, len(at) + 1, dtype=torch.float64) / len(at)
+        ax.step(at, share - at, where="post", lw=1.2, label=f"{name} ({len(at)})")
+    if places:
+        width = envelope(min(len(values) for values in places.values()))
+        ax.axhspan(-width, width, color=DATA, alpha=0.12, lw=0)
+    ax.set(xlim=(0, 1), xlabel="place of the truth in its posterior", ylabel="share below, less uniform")
+    ax.legend(frameon=False, fontsize=8)
+    return ax
+
+
+def plot_reliability(result: Reliability, *, ax: Axes | None = None) -> Axes:
+    """Share of cases that came true over the probability that was stated, with 95 % intervals."""
+    ax = _axes(ax, (4.0, 3.6))
+    share = torch.tensor(result.share)
+    reach = torch.stack((share - torch.tensor(result.low), torch.tensor(result.high) - share)).clamp_min(0.0)
+    ax.plot((0, 1), (0, 1), color=DATA, lw=1, alpha=0.4)
+    ax.errorbar(result.stated, result.share, yerr=reach, fmt="o", color=MODEL, ms=4, capsize=2)
+    for x, y, count in zip(result.stated, result.share, result.counts, strict=True):
+        ax.annotate(str(count), (x, y), xytext=(5, -9), textcoords="offset points", fontsize=7)
+    title = f"calibration error {result.error:.3f}, by chance {result.by_chance:.3f}"
+    ax.set(xlabel="stated probability", ylabel="share that came true", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
+    ax.set_title(title, fontsize=9)
     return ax

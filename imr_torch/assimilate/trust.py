@@ -3,8 +3,9 @@
 Each fit's Gaussian, with heavier tails, proposes draws that are weighed by the exact posterior. Nuisances are integrated
 out for each draw and each experiment by importance sampling from their conditional Gaussian, in opposite pairs, which
 cancels its skewness; the product over experiments is without bias (pseudo-marginal: Andrieu & Roberts, Ann. Stat. 37,
-2009). Draws of all models are simulated in one call a round; a model whose Gaussian does not stand gets another round, with
-a proposal made from its weighed draws, until that one stands.
+2009). That Gaussian is at first the fit's, moved linearly with the gel, and after the first round each draw's own. Draws of
+all models are simulated in one call a round; a model whose Gaussian does not stand gets another round, with a proposal made
+from its weighed draws, until that one stands.
 
 Weights tell of what the draws came near. Another mode far from all of them stays unseen here; against that stands the
 agreement of the starts in the fit's certificate.
@@ -16,14 +17,13 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from imr_torch.assimilate.conditional import conditional_nuisances, possible_nuisances
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.importance import ImportanceSample, Proposal, mixture_log_prob, smooth
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.observe import ExperimentBatch, displaced, predict
+from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
-
-_EARLIEST = -0.5  # time from which bubbles can be simulated
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,8 @@ def weigh(assimilation: Assimilation, simulator: Simulator, *, seed: int, sample
         assimilation: the fits; not changed.
         simulator: the simulator they were made with.
         seed: of the draws.
-        samples: draws per model and round, each one simulation per experiment (two where nuisances are uncertain).
+        samples: draws per model in the first two rounds, each one simulation per experiment (two where nuisances are
+            uncertain); every later round has twice as many as the one before, so that chance alone cannot go on refusing.
         rounds: most rounds; a model stops when the weights are reliable and their moments those that the proposal was
             made for, which after the first round are those of the fit's Gaussian.
 
@@ -88,7 +89,9 @@ def weigh(assimilation: Assimilation, simulator: Simulator, *, seed: int, sample
     found = {fit.model: fit for fit in fits}
     waiting = list(fits)
     for number in range(rounds):
-        draws = [_draw(f, batch, proposals[f.model][-1], samples, child(seed, "weigh", f.model, number)) for f in waiting]
+        count = samples * 2 ** max(0, number - 1)
+        again = simulator if number else None
+        draws = [_draw(f, batch, proposals[f.model][-1], count, child(seed, "weigh", f.model, number), again) for f in waiting]
         for fit, part in zip(waiting, _simulate(waiting, draws, batch, simulator), strict=True):
             parts[fit.model].append(part)
             found[fit.model] = _judge(found[fit.model], proposals[fit.model][-1], part)
@@ -100,8 +103,10 @@ def weigh(assimilation: Assimilation, simulator: Simulator, *, seed: int, sample
     return replace(assimilation, fits=tuple(found[fit.model] for fit in fits))
 
 
-def _draw(fit: ModelFit, batch: ExperimentBatch, proposal: Proposal, samples: int, seed: int) -> _Draws:
-    """Draws of the gel, and of the nuisances given the gel."""
+def _draw(
+    fit: ModelFit, batch: ExperimentBatch, proposal: Proposal, samples: int, seed: int, simulator: Simulator | None
+) -> _Draws:
+    """Draws of the gel, and of the nuisances given the gel; those are placed anew for each gel if there is a simulator."""
     source, experiments = generator(seed), len(batch.experiments)
     controls = proposal.draw(samples, source)
     lots = torch.rand(samples, experiments, generator=source, dtype=torch.float64)
@@ -110,8 +115,12 @@ def _draw(fit: ModelFit, batch: ExperimentBatch, proposal: Proposal, samples: in
         return _Draws(controls, still, still[..., 0], lots)
     half = torch.randn(samples, 1, experiments, 3, generator=source, dtype=torch.float64)
     noise = torch.cat((half, -half), dim=1)
-    nuisances = fit.nuisances_at(controls)[:, None] + fit.nuisance_noise(noise)
-    log_det = fit.nuisance_chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+    centre, chol = fit.nuisances_at(controls), fit.nuisance_chol.expand(samples, -1, -1, -1)
+    if simulator is not None:
+        centre, chol = conditional_nuisances(fit.parameters(controls), centre, chol, batch, simulator)
+    deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)[..., 0]
+    nuisances = centre[:, None] + deviation
+    log_det = chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)[:, None]
     return _Draws(controls, nuisances, 0.5 * (noise.square() - nuisances.square()).sum(-1) - log_det, lots)
 
 
@@ -120,19 +129,13 @@ def _simulate(fits: list[ModelFit], draws: list[_Draws], batch: ExperimentBatch,
     pairs = draws[0].nuisances.shape[1]
     parameters = torch.cat([fit.parameters(d.controls) for fit, d in zip(fits, draws, strict=True)])
     nuisances = torch.cat([d.nuisances for d in draws])
-    possible = _possible(nuisances * batch.nuisance_sds, batch)
+    possible = possible_nuisances(nuisances * batch.nuisance_sds, batch)
     shifts = torch.where(possible[..., None], nuisances * batch.nuisance_sds, 0.0) if pairs > 1 else None
     prediction = predict(simulator, parameters[:, None].expand(-1, pairs, -1), batch, shifts)
     likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0))
     likelihood = torch.where(possible, likelihood, -torch.inf)
     rows = zip(draws, likelihood.split([len(d.controls) for d in draws]), strict=True)
     return [_integrate(d, values) for d, values in rows]
-
-
-def _possible(shifts: Tensor, batch: ExperimentBatch) -> Tensor:
-    """Whether nuisances ``... x E x 3`` leave a bubble that can be simulated; a wild draw must not end the batch."""
-    _, times, scale = displaced(batch.designs, batch.times, shifts)
-    return (scale[..., 0] > 0.1) & (times[..., 0] > _EARLIEST)
 
 
 def _integrate(draws: _Draws, likelihood: Tensor) -> _Round:

@@ -34,6 +34,7 @@ from imr_torch.simulate.simulator import (
     solve_batch,
     solve_bundles,
 )
+from imr_torch.simulate.together import simulate_together
 from imr_torch.simulate.transport import ACCURACIES, Accuracy, TransportSimulator
 
 __all__ = [
@@ -71,6 +72,7 @@ __all__ = [
     "preset",
     "process_pool",
     "sensitivities",
+    "simulate_together",
     "solve_batch",
     "solve_bundles",
 ]

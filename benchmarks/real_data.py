@@ -1,0 +1,288 @@
+"""What measured curves say of their gels: every file of a folder through `characterize`, and what looks wrong.
+
+  python benchmarks/real_data.py FOLDER [--sets gelatin,pa] [--curves 2] [--scores] [--out out/real_data]
+
+FOLDER holds one CSV file a gel, as `load_traces` reads them. Heat and vapour transport, wide prior over three models,
+Rmax, time zero and R_inf of each curve uncertain, noise estimated, window of two collapses. Records without a tail are given
+R_inf/Rmax = .2 +- .08. Gels are fitted side by side, their bubbles simulated together; each result is appended as it comes,
+so a run that was cut off continues. `--scores` adds held-out log densities, for which fits are made again.
+"""
+
+import argparse
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import torch
+
+from imr_torch import characterize, load_traces
+from imr_torch.assimilate import EnsembleOptions, ModelFit, Verdict
+from imr_torch.characterize import Characterization, predictive_band
+from imr_torch.errors import ImrError
+from imr_torch.observe import NUISANCES, TraceSet, collapse_time, find_landmarks
+from imr_torch.plot import plot_experiment
+from imr_torch.select import cross_validate
+from imr_torch.simulate import (
+    Conditions,
+    PolytropicSimulator,
+    Simulator,
+    Solution,
+    TransportSimulator,
+    simulate_together,
+)
+
+REST = (0.2, 0.08)
+SEED = 0
+SIMULATORS = {"full": TransportSimulator, "polytropic": PolytropicSimulator}
+_LARGE_RMSE, _LARGE_NOISE, _FAR, _ODD = 0.03, 2.0, 2.5, 2.0
+_ONE_GEL = 0.2  # relative scatter of the first collapse times above which curves are unlikely to be of one gel
+
+
+@dataclass
+class Counting:
+    """A simulator that counts what it is asked for: the cost of a fit when several run side by side."""
+
+    simulator: Simulator
+    bubbles: int = 0
+
+    @property
+    def conditions(self) -> Conditions:
+        """Those of the simulator."""
+        return self.simulator.conditions
+
+    def __call__(self, parameters: torch.Tensor, designs: torch.Tensor, times: torch.Tensor) -> Solution:
+        """Simulate and count."""
+        return self._counted(self.simulator(parameters, designs, times))
+
+    def bundle(self, parameters: torch.Tensor, designs: torch.Tensor, times: torch.Tensor) -> Solution:
+        """Simulate and count."""
+        return self._counted(self.simulator.bundle(parameters, designs, times))
+
+    def _counted(self, solution: Solution) -> Solution:
+        self.bubbles += solution.status.numel()
+        return solution
+
+
+@dataclass(frozen=True)
+class Task:
+    """One gel.
+
+    Args:
+        file: its curves.
+        curves: most that are fitted, evenly spread over the file; 0 for all.
+        scores: whether to hold curves out.
+        options: how the assimilation searches.
+        figures: folder of the figures.
+    """
+
+    file: Path
+    curves: int
+    scores: bool
+    figures: Path
+    options: EnsembleOptions = field(default_factory=EnsembleOptions)
+
+    def __call__(self, simulator: Simulator) -> dict[str, Any]:
+        """The row of this gel, JSON-ready."""
+        counting, print_ = Counting(simulator), partial(print, f"{self.file.stem}:", flush=True)
+        name = {"set": self.file.stem}
+        try:
+            traces = _some(load_traces(self.file), self.curves)
+            tail = all(find_landmarks(trace).rest_radius_m is not None for trace in traces)
+            fit = partial(characterize, traces, simulator=counting, options=self.options, seed=SEED, progress=print_)
+            result = fit() if tail else fit(rest_radius=REST)
+            scores = _scores(result, counting, self.options) if self.scores and len(traces) > 1 else None
+            self._draw(result, simulator)
+        except ImrError as error:
+            return name | {"failure": f"{type(error).__name__}: {error}", "bubbles": counting.bubbles}
+        return name | _row(result, rest_assumed=not tail) | {"scores": scores, "bubbles": counting.bubbles}
+
+    def _draw(self, result: Characterization, simulator: Simulator) -> None:
+        """Curves with the predictive band of the most probable model."""
+        best = result.posterior.best.model
+        band = predictive_band(result.assimilation, result.posterior, simulator, best, draws=64, seed=SEED)
+        count = min(3, len(result.experiments))
+        figure, axes = plt.subplots(1, count, figsize=(4.2 * count, 3.2), layout="constrained", squeeze=False)
+        for e, ax in enumerate(axes[0]):
+            plot_experiment(result.experiments[e], (band[0][e], band[1][e], band[2][e]), ax=ax)
+        figure.suptitle(f"{self.file.stem}: {best}", fontsize=10)
+        self.figures.mkdir(parents=True, exist_ok=True)
+        figure.savefig(self.figures / f"{self.file.stem}.png", dpi=80)
+        plt.close(figure)
+
+
+def _some(traces: TraceSet, most: int) -> TraceSet:
+    """At most so many traces, evenly spread."""
+    names = [trace.experiment_id for trace in traces]
+    if most == 0 or len(names) <= most:
+        return traces
+    return traces.select([names[(2 * i + 1) * len(names) // (2 * most)] for i in range(most)])
+
+
+def _scores(result: Characterization, simulator: Simulator, options: EnsembleOptions) -> dict[str, Any]:
+    """Held-out log density of each model, summed over two folds of curves."""
+    count = len(result.experiments)
+    folds = [list(range(count))[i::2] for i in range(2)]
+    found = cross_validate(result.assimilation, simulator, seed=SEED, folds=folds, options=options)
+    models = dict.fromkeys(score.model for score in found)
+    return {
+        key: {
+            "value": sum(s.value for s in found if s.model == key),
+            "error": sum(s.error**2 for s in found if s.model == key) ** 0.5,
+            "refitted": sum(s.refitted for s in found if s.model == key),
+        }
+        for key in models
+    }
+
+
+def _row(result: Characterization, *, rest_assumed: bool) -> dict[str, Any]:
+    """Everything the table shows."""
+    document = result.to_dict()
+    best = result.assimilation[result.posterior.best.model]
+    return {
+        "curves": len(result.experiments),
+        "rest_assumed": rest_assumed,
+        "best": best.model,
+        "model_probabilities": document["model_probabilities"],
+        "models": document["models"],
+        "noise": document["noise"],
+        "remarks": remarks(result, best),
+    }
+
+
+def remarks(result: Characterization, best: ModelFit) -> list[str]:
+    """What looks wrong about the most probable model."""
+    found, batch = [], result.assimilation.batch
+    rmse = result.assimilation.rmse(best.model)
+    if not best.certificate.converged:
+        found.append("not converged")
+    if best.verdict is Verdict.REFUSED:
+        found.append("Gaussian answer refused")
+    if rmse > _LARGE_RMSE:
+        found.append(f"misses the data (RMSE {rmse:.3f})")
+    if batch.noise.scale > _LARGE_NOISE:
+        found.append(f"residuals {batch.noise.scale:.1f} x the published noise")
+    for name, value in zip(best.prior.names, best.mean.tolist(), strict=True):
+        if abs(value) > _FAR:
+            found.append(f"{name} {value:+.1f} prior sd")
+    for e, row in enumerate(best.nuisances.tolist()):
+        found += [
+            f"{batch.experiments[e].label}: {n} {w:+.1f} sd" for n, w in zip(NUISANCES, row, strict=True) if abs(w) > _FAR
+        ]
+    return found + _odd_curves(result, best) + _where(result, best)
+
+
+def _odd_curves(result: Characterization, best: ModelFit) -> list[str]:
+    """Curves that are not like the others: in their residual, or in when they collapse."""
+    each = result.assimilation.rmse_by_experiment(best.model)
+    middle = sorted(each.values())[len(each) // 2]
+    found = [f"{label}: RMSE {value:.3f}" for label, value in each.items() if len(each) > 2 and value > _ODD * middle]
+    collapses = torch.tensor([collapse_time(e.times, e.radius[0], 1) for e in result.experiments])
+    collapses = collapses[torch.isfinite(collapses)]
+    if len(collapses) > 1 and float(collapses.amax() / collapses.amin()) > 1.0 + _ONE_GEL:
+        found.append(f"first collapses at t* {float(collapses.amin()):.2f} to {float(collapses.amax()):.2f}")
+    return found
+
+
+def _where(result: Characterization, best: ModelFit) -> list[str]:
+    """Whether residuals crowd before or after the first collapse, in units of the noise."""
+    batch, before, after = result.assimilation.batch, [], []
+    square = ((batch.mean - best.prediction) / batch.sd(best.prediction)).square()
+    for e, experiment in enumerate(result.experiments):
+        first = collapse_time(experiment.times, experiment.radius[0], 1)
+        early = batch.mask[e] & (batch.times[e] < first)
+        before.append(square[e][early])
+        after.append(square[e][batch.mask[e] & ~early])
+    early, late = (torch.cat(rows).mean().sqrt() for rows in (before, after))
+    if not float(torch.maximum(early / late, late / early)) > _ODD:  # nor where one of them holds no frame
+        return []
+    return [f"residuals {float(early):.1f} sd before the first collapse, {float(late):.1f} sd after"]
+
+
+def table(rows: Iterable[dict[str, Any]]) -> str:
+    """Markdown."""
+    lines = [
+        "| set | curves | model, probability | G (kPa) | mu (Pa s) | alpha | RMSE in R* | noise scale, corr. time | trust | "
+        "held out, nats over the next | bubbles | what looks wrong |",
+        "|" + "---|" * 12,
+    ]
+    return "\n".join(lines + [_line(row) for row in rows])
+
+
+def _line(row: dict[str, Any]) -> str:
+    if "failure" in row:
+        return f"| {row['set']} | | {row['failure']} |" + " |" * 9
+    model = row["models"][row["best"]]
+    answer = (
+        model["gaussian_answer"]
+        .removeprefix("Gaussian answer ")
+        .split(", means")[0]
+        .removesuffix("); take more samples, or NUTS")
+    )
+    cells = [
+        row["set"],
+        f"{row['curves']}{', R_inf assumed' if row['rest_assumed'] else ''}",
+        ", ".join(f"{key} {p:.3f}" for key, p in sorted(row["model_probabilities"].items(), key=lambda kv: -kv[1]) if p > 0.02),
+        *(_interval(model["intervals"].get(name), scale) for name, scale in (("G", 1e-3), ("mu", 1.0), ("alpha", 1.0))),
+        f"{model['rmse']:.3f}",
+        f"{row['noise']['scale']:.2f}, {row['noise']['correlation_time']:g}",
+        answer.removesuffix(")") + ")",
+        _score(row["scores"]),
+        str(row["bubbles"]),
+        "; ".join(row["remarks"]),
+    ]
+    return "| " + " | ".join(cells) + " |"
+
+
+def _interval(values: list[float] | None, scale: float) -> str:
+    if values is None:
+        return ""
+    low, middle, high = (scale * x for x in values)
+    return f"{middle:.3g} ({low:.3g}-{high:.3g})"
+
+
+def _score(scores: dict[str, Any] | None) -> str:
+    if scores is None:
+        return ""
+    order = sorted(scores.items(), key=lambda item: -item[1]["value"])
+    gap = order[0][1]["value"] - order[1][1]["value"]
+    error = (order[0][1]["error"] ** 2 + order[1][1]["error"] ** 2) ** 0.5
+    return f"{order[0][0]} by {gap:.1f} +- {error:.1f}"
+
+
+def main() -> None:
+    """Fit what is missing and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--sets", help="only files whose names begin with one of these, comma-separated, in this order")
+    parser.add_argument("--curves", type=int, default=2, help="most curves of a file, evenly spread; 0 for all")
+    parser.add_argument("--scores", action="store_true", help="also hold curves out")
+    parser.add_argument("--physics", choices=tuple(SIMULATORS), default="full")
+    parser.add_argument("--starts", type=int, default=2, help="searches per model")
+    parser.add_argument("--scouts", type=int, default=96, help="prior draws from which searches start")
+    parser.add_argument("--at-once", type=int, default=6, help="gels fitted side by side")
+    parser.add_argument("--out", type=Path, default=Path("out/real_data"), help="folder of results and figures")
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    files = sorted(args.folder.glob("*.csv"))
+    if args.sets:
+        files = [f for begin in args.sets.split(",") for f in files if f.stem.startswith(begin)]
+    args.out.mkdir(parents=True, exist_ok=True)
+    path = args.out / f"rows-{args.physics}-{args.curves}{'-scores' if args.scores else ''}.jsonl"
+    rows = {row["set"]: row for row in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
+    options = EnsembleOptions(starts=args.starts, scouts=args.scouts)
+    tasks = [Task(f, args.curves, args.scores, args.out, options) for f in files if f.stem not in rows]
+    with path.open("a") as stream:
+        for _, row in simulate_together(tasks, SIMULATORS[args.physics](), at_once=args.at_once):
+            stream.write(json.dumps(row) + "\n")
+            stream.flush()
+            rows[row["set"]] = row
+            print(_line(row), flush=True)
+    print("\n" + table(rows[f.stem] for f in files))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,27 @@
+"""Is the inference right on average? Gels drawn from the prior, measured in simulation, inferred, and compared."""
+
+from imr_torch.calibration.replicate import Arrangement, Replicate, calibrate
+from imr_torch.calibration.statistics import (
+    Coverage,
+    Reliability,
+    Uniformity,
+    coverage,
+    envelope,
+    rank_correlation,
+    reliability,
+    uniformity,
+)
+
+__all__ = [
+    "Arrangement",
+    "Coverage",
+    "Reliability",
+    "Replicate",
+    "Uniformity",
+    "calibrate",
+    "coverage",
+    "envelope",
+    "rank_correlation",
+    "reliability",
+    "uniformity",
+]

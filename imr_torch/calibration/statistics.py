@@ -1,0 +1,222 @@
+"""Judging replicates: uniformity with its p-values, coverage with its interval, reliability of probabilities, rank correlation.
+
+In go numbers that are uniform if an inference is calibrated, or probabilities and what came true; out come statistics with
+what chance leaves open, so that "calibrated" and "not" are both statements that the number of replicates supports.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy import stats
+from torch import Tensor
+
+from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.random import generator
+
+_EDGE = 1e-12  # where a Gaussian's tail has run out of digits
+_FEWEST = 5  # expected in a bin for chi-square to be what it is named after
+
+
+@dataclass(frozen=True)
+class Uniformity:
+    """Whether numbers are uniform on [0, 1].
+
+    Args:
+        count: how many.
+        counts: in bins of equal width.
+        chi_square_p: p-value of the bins (Pearson).
+        kolmogorov_p: p-value of the largest distance of the empirical distribution from the diagonal.
+        spread: root mean square of the numbers as standard normal scores; above 1 intervals are too narrow.
+        spread_p: its p-value, two-sided, from chi-square: the most telling of the three where only the width is wrong.
+    """
+
+    count: int
+    counts: tuple[int, ...]
+    chi_square_p: float
+    kolmogorov_p: float
+    spread: float
+    spread_p: float
+
+    @property
+    def p(self) -> float:
+        """All in one: three times the smallest (Bonferroni)."""
+        return min(1.0, 3.0 * min(self.chi_square_p, self.kolmogorov_p, self.spread_p))
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How often central intervals held the truth.
+
+    Args:
+        level: probability of the intervals.
+        share: of cases in which they held it.
+        low: lower end of the 95 % confidence interval of that share.
+        high: its upper end.
+    """
+
+    level: float
+    share: float
+    low: float
+    high: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether the level lies within the confidence interval."""
+        return self.low <= self.level <= self.high
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Stated probabilities against what came true.
+
+    Args:
+        stated: mean stated probability of each bin that holds a case.
+        share: of cases in that bin that came true.
+        low: lower end of its 95 % confidence interval.
+        high: its upper end.
+        counts: cases in that bin.
+        error: expected calibration error, the mean of |share - stated| over cases.
+        error_low: lower end of its 95 % bootstrap interval.
+        error_high: its upper end.
+        by_chance: mean of ``error`` if the stated probabilities were right, for this many cases; it is never zero.
+        p: probability of an ``error`` at least as large if they were right.
+    """
+
+    stated: tuple[float, ...]
+    share: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    counts: tuple[int, ...]
+    error: float
+    error_low: float
+    error_high: float
+    by_chance: float
+    p: float
+
+
+def _checked(values: Sequence[float], name: str) -> np.ndarray:
+    found = np.asarray(values, dtype=float)
+    if found.ndim != 1 or len(found) == 0 or not ((found >= 0.0) & (found <= 1.0)).all():
+        raise InputDataError(f"{name}: expected at least one number, all within [0, 1].")
+    return found
+
+
+def uniformity(values: Sequence[float], *, bins: int | None = None) -> Uniformity:
+    """Test numbers against the uniform distribution on [0, 1].
+
+    Args:
+        values: places of truths in their posteriors.
+        bins: of the histogram; as many as hold ten on average, at most 20, when not given.
+
+    Raises:
+        InputDataError: if a value is outside, or there are too few for the bins.
+    """
+    found = _checked(values, "uniformity")
+    bins = bins or max(2, min(20, len(found) // 10))
+    if len(found) < _FEWEST * bins:
+        raise InputDataError(f"uniformity: {len(found)} values are too few for {bins} bins; {_FEWEST * bins} are needed.")
+    counts = np.histogram(found, bins=bins, range=(0.0, 1.0))[0]
+    square = float((stats.norm.ppf(found.clip(_EDGE, 1.0 - _EDGE)) ** 2).sum())
+    below = stats.chi2.cdf(square, len(found))
+    return Uniformity(
+        len(found),
+        tuple(int(c) for c in counts),
+        float(stats.chisquare(counts).pvalue),
+        float(stats.kstest(found, "uniform").pvalue),
+        (square / len(found)) ** 0.5,
+        float(2.0 * min(below, stats.chi2.sf(square, len(found)))),
+    )
+
+
+def envelope(count: int, level: float = 0.95) -> float:
+    """Half width of the band about the diagonal that holds the whole empirical distribution of ``count`` uniform numbers."""
+    return float(stats.kstwo.ppf(level, count))
+
+
+def _share(hits: int, count: int) -> tuple[float, float]:
+    """95 % confidence interval of a share (Clopper & Pearson, Biometrika 26, 1934)."""
+    interval = stats.binomtest(hits, count).proportion_ci(0.95, method="exact")
+    return float(interval.low), float(interval.high)
+
+
+def coverage(values: Sequence[float], level: float) -> Coverage:
+    """How often the central interval of a probability held the truth.
+
+    Args:
+        values: places of truths in their posteriors.
+        level: probability of the interval.
+    """
+    found = _checked(values, "coverage")
+    hits = int((np.abs(found - 0.5) <= 0.5 * level).sum())
+    return Coverage(level, hits / len(found), *_share(hits, len(found)))
+
+
+def _calibration_error(stated: np.ndarray, true: np.ndarray, places: np.ndarray) -> float:
+    """Mean over cases of the distance between stated probability and share, bin by bin."""
+    gaps = np.bincount(places, weights=true - stated)
+    return float(np.abs(gaps).sum() / len(stated))
+
+
+def reliability(
+    stated: Sequence[float], true: Sequence[bool], *, bins: int = 10, resamples: int = 2000, seed: int = 0
+) -> Reliability:
+    """Reliability diagram of stated probabilities, with the expected calibration error.
+
+    Args:
+        stated: probability of each case.
+        true: whether it came true.
+        bins: of equal width.
+        resamples: for the bootstrap, and for what chance makes of the error.
+        seed: of both.
+
+    Raises:
+        ShapeError: if there is not one outcome for each probability.
+    """
+    p, hit = _checked(stated, "reliability"), np.asarray(true, dtype=float)
+    if p.shape != hit.shape:
+        raise ShapeError(f"reliability: {len(p)} probabilities and {len(hit)} outcomes; expected one for each.")
+    places = np.minimum((p * bins).astype(int), bins - 1)
+    rows = []
+    for place in np.unique(places):
+        mine = places == place
+        hits, count = int(hit[mine].sum()), int(mine.sum())
+        rows.append((float(p[mine].mean()), hits / count, *_share(hits, count), count))
+    source = np.random.default_rng(seed)
+    again = source.integers(0, len(p), (resamples, len(p)))
+    errors = [_calibration_error(p[i], hit[i], places[i]) for i in again]
+    chance = [_calibration_error(p, (source.random(len(p)) < p).astype(float), places) for _ in range(resamples)]
+    error = _calibration_error(p, hit, places)
+    low, high = np.quantile(errors, (0.025, 0.975))
+    tail = (1 + sum(e >= error for e in chance)) / (resamples + 1)
+    stated_, share, lows, highs, counts = zip(*rows, strict=True)
+    return Reliability(stated_, share, lows, highs, counts, error, float(low), float(high), float(np.mean(chance)), tail)
+
+
+def rank_correlation(expected: Tensor, realised: Tensor, *, resamples: int = 1000, seed: int = 0) -> tuple[float, float]:
+    """Spearman correlation over designs of an expectation with the mean of what came, and its standard error.
+
+    The error is that of a bootstrap over repeats, which are the same gels at all designs and so are drawn together.
+
+    Args:
+        expected: ``n`` tensor, one value a design.
+        realised: ``n x r`` tensor, repeats of each design.
+        resamples: of the bootstrap.
+        seed: of them.
+
+    Raises:
+        ShapeError: if shapes do not fit.
+    """
+    if expected.ndim != 1 or realised.ndim != 2 or len(realised) != len(expected) or len(expected) < 3:
+        raise ShapeError(
+            f"rank_correlation: shapes {tuple(expected.shape)} and {tuple(realised.shape)}; expected n and n x r with n >= 3."
+        )
+    repeats = realised.shape[1]
+    rows = torch.randint(repeats, (resamples, repeats), generator=generator(seed))
+    values = [_spearman(expected, realised[:, row]) for row in rows]
+    return _spearman(expected, realised), float(np.std(values, ddof=1))
+
+
+def _spearman(expected: Tensor, realised: Tensor) -> float:
+    return float(stats.spearmanr(expected.numpy(), realised.mean(1).numpy()).statistic)  # type: ignore[attr-defined]

@@ -1,0 +1,136 @@
+"""Calibration both ways: the default inference is found calibrated, and three that are wrong are found out."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from imr_torch.assimilate import EnsembleOptions, assimilate, weigh
+from imr_torch.calibration import Arrangement, calibrate, coverage, reliability, uniformity
+from imr_torch.calibration.replicate import information
+from imr_torch.design import Plan, linear_gaussian_gain
+from imr_torch.errors import ConvergenceError
+from imr_torch.material import Belief, reference_case
+from imr_torch.observe import ExperimentBatch, Nuisance
+from imr_torch.simulate import PolytropicSimulator
+from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
+
+PLAN = Plan(times=torch.linspace(0.0, 2.0, 13, dtype=torch.float64), repeats=16, noise=NOISE, collapses=None)
+OPTIONS = EnsembleOptions(scouts=8, starts=2)
+LINEAR = Arrangement(prior(("nhkv", "gen_qkv")), (400.0, 0.2), PLAN, samples=64, options=OPTIONS)
+
+
+def run(count, *, learn=None, plan=PLAN, simulator=None, arrangement=LINEAR):
+    changed = replace(arrangement, learn=learn, plan=plan)
+    return list(calibrate(changed, simulator or LinearSimulator(), range(count), seed=3, at_once=count))
+
+
+def pooled(replicates, kind, name):
+    return [getattr(r, kind)[name] for r in replicates if name in r.gaussian]
+
+
+@pytest.fixture(scope="module")
+def default():
+    return run(60)
+
+
+@pytest.mark.parametrize("kind", ["gaussian", "reported", "weighed"])
+def test_that_the_default_is_calibrated(default, kind):
+    assert all(r.failure is None and r.converged for r in default)
+    for name in ("G", "mu"):
+        places = pooled(default, kind, name)
+        assert len(places) == 60
+        assert uniformity(places).p > 0.01
+        assert coverage(places, 0.9).fits
+    assert uniformity(pooled(default, kind, "alpha")).p > 0.01
+    assert uniformity([r.log_likelihood for r in default]).p > 0.01
+
+
+def test_that_model_probabilities_are_reliable(default):
+    stated = [r.probabilities["nhkv"] for r in default]
+    assert 10.0 < sum(stated) < 50.0
+    assert reliability(stated, [r.model == "nhkv" for r in default], bins=5).p > 0.01
+
+
+def halved(experiment):
+    return ExperimentBatch((experiment,), replace(NOISE, scale=0.5))
+
+
+def tempered(experiment):
+    """The misfit of the mean curve divided by the number of frames."""
+    mean = replace(experiment, radius=experiment.radius.mean(0, keepdim=True))
+    return ExperimentBatch((mean,), replace(NOISE, scale=len(experiment.times) ** 0.5))
+
+
+def enlarged(experiment):
+    """A scale that is off by two per cent."""
+    return ExperimentBatch((replace(experiment, radius=1.02 * experiment.radius),), NOISE)
+
+
+@pytest.mark.parametrize("learn", [halved, tempered, enlarged])
+def test_that_a_wrong_inference_is_found_out(learn):
+    found = run(40, learn=learn)
+    for kind in ("gaussian", "reported", "weighed"):
+        assert min(uniformity(pooled(found, kind, name)).p for name in ("G", "mu")) < 1e-3
+
+
+def test_that_nuisances_are_drawn_and_marginalised():
+    plan = replace(PLAN, nuisance=Nuisance(time_zero=0.1, rest_radius=0.2))
+    found = run(24, plan=plan)
+    assert all(r.log_likelihood is None for r in found)
+    for name in ("G", "mu"):
+        assert uniformity(pooled(found, "weighed", name)).p > 0.01
+
+
+def test_that_the_information_is_the_closed_form_s():
+    part, batch = prior(("nhkv",)), experiments(2)
+    result = weigh(assimilate(part, batch, LinearSimulator(), seed=0, options=OPTIONS), LinearSimulator(), seed=0, samples=4000)
+    truth = exact(part.models[0], batch)
+    covariance = truth.covariance
+    value = 0.5 * (covariance.trace() + truth.mean.square().sum() - len(truth.mean) - torch.logdet(covariance))
+    assert information(result) == pytest.approx(float(value), abs=0.05)
+
+
+def test_that_information_comes_as_expected():
+    one = replace(LINEAR, prior=prior(("nhkv",)))
+    found = torch.tensor([r.information for r in run(40, arrangement=one)], dtype=torch.float64)
+    part = one.prior.models[0]
+    start = part.parameters(part.mean)
+    design, simulator = tensor(*one.design), LinearSimulator()
+    moved = [part.parameters(part.mean + step) for step in torch.eye(2, dtype=torch.float64)]
+    rows = [simulator(gel, design, PLAN.times).radius - simulator(start, design, PLAN.times).radius for gel in moved]
+    noise = NOISE.floor**2 / PLAN.repeats * torch.eye(len(PLAN.times), dtype=torch.float64)
+    expected = float(linear_gaussian_gain(torch.stack(rows, 1), noise))
+    assert float(found.mean()) == pytest.approx(expected, abs=4.0 * float(found.std()) / 40**0.5)
+
+
+def test_that_a_replicate_depends_on_its_number_alone():
+    few = {r.number: r for r in calibrate(LINEAR, LinearSimulator(), [5, 2], seed=3, at_once=1)}
+    many = {r.number: r for r in run(8)}
+    for number in (2, 5):
+        assert few[number].model == many[number].model
+        assert few[number].weighed == pytest.approx(many[number].weighed, abs=1e-6)
+    other = next(iter(calibrate(LINEAR, LinearSimulator(), [5], seed=4)))
+    assert other.weighed != pytest.approx(many[5].weighed, abs=1e-3)
+
+
+def test_that_gels_that_cannot_be_simulated_are_drawn_again():
+    most = float(prior(("nhkv",)).models[0].means[0])
+    found = run(12, simulator=LinearSimulator(limit={"G": most}))
+    assert sum(r.redrawn for r in found) > 3
+    with pytest.raises(ConvergenceError, match="None of 50 gels"):
+        run(1, simulator=LinearSimulator(fails=True))
+
+
+def test_that_bubbles_serve():
+    plan = Plan(times=torch.linspace(0.0, 2.2, 45, dtype=torch.float64), repeats=20)
+    part = reference_case("soft-pa").prior["nhkv"]
+    soft = replace(
+        LINEAR, prior=Belief((part,), torch.zeros(1, dtype=torch.float64)), options=EnsembleOptions(scouts=8, starts=2)
+    )
+    found = run(2, arrangement=soft, plan=plan, simulator=PolytropicSimulator())
+    for replicate in found:
+        places = (*replicate.gaussian.values(), *replicate.weighed.values(), replicate.log_likelihood)
+        assert all(0.0 <= place <= 1.0 for place in places)
+        assert replicate.information > 4.0
+        assert replicate.probabilities == {"nhkv": 1.0}

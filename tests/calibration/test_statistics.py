@@ -1,0 +1,123 @@
+"""Statistics of replicates against closed forms, and both ways: silent on calibrated numbers, loud on others."""
+
+import math
+
+import pytest
+import torch
+from scipy import stats
+
+from imr_torch.calibration import coverage, envelope, rank_correlation, reliability, uniformity
+from imr_torch.errors import InputDataError, ShapeError
+
+
+def grid(n):
+    """Numbers more uniform than any draw."""
+    return [(i + 0.5) / n for i in range(n)]
+
+
+def uniform(n, seed=0):
+    return torch.rand(n, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def test_that_a_uniform_grid_passes_and_its_bins_are_equal():
+    result = uniformity(grid(200))
+    assert result.counts == (10,) * 20
+    assert result.chi_square_p == pytest.approx(1.0)
+    assert result.spread == pytest.approx(1.0, abs=0.02)
+    assert result.p > 0.9
+
+
+def test_that_p_values_are_uniform_for_uniform_numbers():
+    tests = [uniformity(uniform(100, seed).tolist()) for seed in range(200)]
+    assert stats.kstest([t.kolmogorov_p for t in tests], "uniform").pvalue > 0.01
+    assert stats.kstest([t.spread_p for t in tests], "uniform").pvalue > 0.01
+    assert 0.01 < sum(t.chi_square_p < 0.1 for t in tests) / 200 < 0.2
+
+
+@pytest.mark.parametrize(
+    "bend",
+    [
+        lambda u: torch.special.ndtr(0.5 * torch.special.ndtri(u)),  # intervals too wide
+        lambda u: torch.special.ndtr(2.0 * torch.special.ndtri(u)),  # too narrow
+        lambda u: torch.special.ndtr(torch.special.ndtri(u) + 0.5),  # biased
+    ],
+    ids=["wide", "narrow", "biased"],
+)
+def test_that_a_wrong_posterior_is_found(bend):
+    assert uniformity(bend(uniform(200)).tolist()).p < 1e-3
+
+
+def test_that_the_spread_is_that_of_the_normal_scores():
+    narrow = torch.special.ndtr(1.3 * torch.special.ndtri(torch.tensor(grid(300), dtype=torch.float64)))
+    assert uniformity(narrow.tolist()).spread == pytest.approx(1.3, rel=0.02)
+
+
+def test_that_the_envelope_holds_uniform_numbers_as_often_as_it_says():
+    rows = uniform(400 * 80).reshape(400, 80).sort(dim=1).values
+    steps = torch.arange(81, dtype=torch.float64) / 80
+    distance = torch.maximum((steps[1:] - rows).amax(1), (rows - steps[:-1]).amax(1))
+    inside = (distance < envelope(80)).tolist()
+    assert stats.binomtest(sum(inside), 400, 0.95).pvalue > 0.01
+
+
+def test_that_coverage_counts_central_intervals_with_clopper_and_pearson_s_limits():
+    result = coverage([0.02, 0.3, 0.5, 0.7, 0.9, 0.97], 0.9)
+    assert result.share == pytest.approx(4 / 6)
+    assert result.low == pytest.approx(stats.beta.ppf(0.025, 4, 3))
+    assert result.high == pytest.approx(stats.beta.ppf(0.975, 5, 2))
+    assert result.fits
+
+
+def test_that_missing_coverage_is_seen():
+    assert coverage(grid(400), 0.9).fits
+    narrow = torch.special.ndtr(2.0 * torch.special.ndtri(torch.tensor(grid(400)))).tolist()
+    result = coverage(narrow, 0.9)
+    assert result.share == pytest.approx(2.0 * stats.norm.cdf(stats.norm.ppf(0.95) / 2.0) - 1.0, abs=5e-3)
+    assert not result.fits
+
+
+def test_that_the_calibration_error_is_the_mean_gap_of_the_bins():
+    result = reliability([0.1, 0.1, 0.1, 0.1, 0.8, 0.8], [True, False, False, False, True, False])
+    assert result.counts == (4, 2)
+    assert result.stated == pytest.approx((0.1, 0.8))
+    assert result.share == pytest.approx((0.25, 0.5))
+    assert result.error == pytest.approx((4 * 0.15 + 2 * 0.3) / 6)
+    assert result.error_low <= result.error <= result.error_high
+
+
+def test_that_right_probabilities_err_as_chance_does_and_sharpened_ones_more():
+    stated = uniform(500, 1)
+    true = uniform(500, 2) < stated
+    right = reliability(stated.tolist(), true.tolist())
+    assert right.p > 0.05
+    sharp = torch.special.expit(3.0 * torch.special.logit(stated))
+    wrong = reliability(sharp.tolist(), true.tolist())
+    assert wrong.p < 1e-3
+    assert wrong.error_low > wrong.by_chance
+
+
+def test_that_ranks_agree_or_not_with_an_error_of_the_repeats():
+    expected = torch.linspace(0.0, 1.0, 12, dtype=torch.float64)
+    noise = torch.randn(12, 40, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    exact, zero = rank_correlation(expected, expected[:, None].expand(-1, 5))
+    assert (exact, zero) == (pytest.approx(1.0), pytest.approx(0.0))
+    rho, error = rank_correlation(expected, expected[:, None] + noise)
+    assert rho > 0.7
+    assert 0.01 < error < 0.2
+    assert rank_correlation(expected, -expected[:, None] + 0.01 * noise)[0] == pytest.approx(-1.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda: uniformity([0.1, 1.2] * 20), InputDataError, "uniformity: expected at least one number, all within"),
+        (lambda: uniformity([math.nan] * 20), InputDataError, "uniformity: expected at least one number"),
+        (lambda: uniformity([0.5] * 9), InputDataError, "9 values are too few for 2 bins; 10 are needed"),
+        (lambda: coverage([], 0.9), InputDataError, "coverage: expected at least one number"),
+        (lambda: reliability([0.5, 0.5], [True]), ShapeError, "2 probabilities and 1 outcomes"),
+        (lambda: rank_correlation(torch.zeros(2), torch.zeros(2, 4)), ShapeError, "n >= 3"),
+    ],
+)
+def test_that_bad_input_is_named(call, error, words):
+    with pytest.raises(error, match=words):
+        call()

@@ -1,0 +1,75 @@
+# %% [markdown]
+# # Is it calibrated?
+# A 90 % interval should hold the truth nine times in ten, and a model given 70 % should be the right one seven times in ten.
+# For your own prior, design, camera and simulator that can be tried before the first shot: draw gels from the prior, shoot
+# them in simulation, infer, and look where the truths came to lie.
+
+# %%
+import os
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from imr_torch.assimilate import EnsembleOptions
+from imr_torch.calibration import Arrangement, calibrate, coverage, reliability, uniformity
+from imr_torch.design import Plan
+from imr_torch.material import reference_case
+from imr_torch.observe import ExperimentBatch, Noise
+from imr_torch.plot import plot_places, plot_reliability
+from imr_torch.simulate import PolytropicSimulator
+
+SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
+OUT = Path(tempfile.mkdtemp()) if SMOKE else Path("out/07")
+OUT.mkdir(parents=True, exist_ok=True)
+
+# %% [markdown]
+# ## Your arrangement
+# What you believe, what you will shoot, and how you will film it. Replicates share their simulations, so a hundred of them
+# take about a minute; one each, a quarter of an hour.
+
+# %%
+plan = Plan(times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64), repeats=5)
+options = EnsembleOptions(scouts=24, starts=2) if SMOKE else EnsembleOptions()
+mine = Arrangement(reference_case("soft-pa").prior, (400.0, 0.22), plan, samples=64 if SMOKE else 256, options=options)
+count = 12 if SMOKE else 100
+replicates = list(calibrate(mine, PolytropicSimulator(), range(count), seed=0))
+
+# %% [markdown]
+# ## Where the truths lie
+# The place of the truth in its posterior is uniform if all is well. `spread` says most: above 1 the intervals are too
+# narrow, below 1 too wide. With few replicates chance leaves much open, and the intervals and p-values say how much.
+
+
+# %%
+def judge(replicates):
+    for name in ("G", "mu"):
+        places = [r.reported[name] for r in replicates if r.failure is None]
+        test, hold = uniformity(places), coverage(places, 0.9)
+        print(
+            f"{name:3s} 90 % intervals hold {hold.share:.2f} of {test.count} truths ({hold.low:.2f} to {hold.high:.2f}); "
+            f"spread {test.spread:.2f}, p {test.p:.3g}"
+        )
+    return {name: [r.reported[name] for r in replicates if r.failure is None] for name in ("G", "mu")}
+
+
+plot_places(judge(replicates)).figure.savefig(OUT / "places.png")
+
+# %% [markdown]
+# ## Whether probabilities mean what they say
+
+# %%
+stated = [r.probabilities["nhkv"] for r in replicates if r.failure is None]
+result = reliability(stated, [r.model == "nhkv" for r in replicates if r.failure is None], bins=5)
+print(f"calibration error {result.error:.3f}; chance alone leaves {result.by_chance:.3f} (p {result.p:.2f})")
+plot_reliability(result).figure.savefig(OUT / "reliability.png")
+
+# %% [markdown]
+# ## And when it is not
+# Suppose the camera is noisier than you think. The same gels, inferred with half the noise: the intervals are too narrow, and
+# the test says so. Before you trust a result, make sure that your check could have failed.
+
+# %%
+sure = replace(mine, learn=lambda experiment: ExperimentBatch((experiment,), Noise(scale=0.5)))
+judge(list(calibrate(sure, PolytropicSimulator(), range(count), seed=0)))
