@@ -24,7 +24,7 @@ from imr_torch.simulate import Simulator
 _RANK = 1e-3  # singular values below this part of the largest add no direction
 _BOOTSTRAP = 2000
 _PULSES = 8
-_STARTS = ((0.1, 0.4), (0.5, 1.5))  # amplitudes, over those of an effect's starts
+_STARTS = ((0.01, 0.4), (0.5, 1.5))  # amplitudes, over those of an effect's starts
 _LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones to be tested
 
 
