@@ -36,6 +36,7 @@ _SIDE = 1e-4  # prior standard deviations by which nuisances are moved for their
 _NEAR = 1.0  # posterior standard deviations from a minimum at which a chain keeps its leader
 _RESTART = 0.25  # prior standard deviations
 _AWAY = 10.0  # posterior standard deviations
+_RESERVE = 10.0  # times ``hopeless`` by which a model may lag and still have its other starts sent out
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,8 @@ class EnsembleOptions:
         gradient: tolerance of the whitened gradient; 1e-3 leaves 5e-7 nats.
         agreement: tolerance of the cost difference between the two best starts, nats.
         hopeless: a start rests, unconverged, once its cost less what its gradient promises is worse than the best cost of
-            any model by more than this, nats; never when not given.
+            any model by more than this, nats; never when not given. When given, models race: the best start of each sets
+            out, and the others follow only where it arrives not too far behind.
     """
 
     members: int | None = None
@@ -113,6 +115,7 @@ def assimilate(
             "or the ensemble is degenerate."
         )
     search = _Search(belief, batch, simulator, options, seed, near, starts)
+    search.hold_back()
     for iteration in range(options.iterations):
         search.iterate()
         search.give_up()
@@ -380,12 +383,24 @@ class _Search:
                 self.led[chain] = True
                 self.leader_gel[chain], self.leader_nuisances[chain] = self.leader_gel[first], self.leader_nuisances[first]
 
+    def hold_back(self) -> None:
+        """In a race of models only the best start of each sets out; the others wait for it to arrive."""
+        if self.options.hopeless is None:
+            return
+        for model in range(len(self.belief.models)):
+            rows = torch.nonzero(self.model == model)[:, 0]
+            self.finished[rows[torch.argsort(self.cost[rows])[1:]]] = True
+
     def give_up(self) -> None:
         """Let starts rest whose model the best one has left behind."""
         if self.options.hopeless is None:
             return
         promised = self.cost - 2.0 * self.gradient.clamp_max(1e6).square()  # Gauss-Newton promises a quarter of that
         self.finished |= promised > self.cost.min() + self.options.hopeless
+
+    def _behind(self, chain: Tensor, times: float) -> bool:
+        """Whether the best has left a chain behind by more than so many times ``hopeless``."""
+        return self.options.hopeless is not None and bool(self.cost[chain] > self.cost.min() + times * self.options.hopeless)
 
     def settle(self) -> None:
         """Let the other starts of a model rest once its best one has converged and a second agrees with it."""
@@ -397,12 +412,18 @@ class _Search:
                 self.finished[rows] = True
 
     def restart(self) -> None:
-        """Once per model: search again near its best point where the starts ended in different minima."""
+        """Send starts out that were held back; once per model, search again near its best point where starts disagree."""
         for model in range(len(self.belief.models)):
             rows = torch.nonzero(self.model == model)[:, 0]
             rows = rows[torch.argsort(self.cost[rows])]
             apart = rows[self.cost[rows] > self.cost[rows[0]] + self.options.agreement]
-            if self.restarted[model] or len(rows) - len(apart) >= 2 or not bool(self.finished[rows].all()):
+            fresh = apart[(self.iterations[apart] == 0) & torch.isfinite(self.cost[apart])]
+            if len(rows) - len(apart) >= 2 or not bool(self.finished[rows].all()):
+                continue
+            if len(fresh) and not self._behind(rows[0], _RESERVE):
+                self.finished[fresh] = False
+                continue
+            if self.restarted[model] or self._behind(rows[0], 1.0):
                 continue
             self.restarted[model] = True
             free = len(self.belief.models[model].names)
