@@ -40,6 +40,9 @@ class PolytropicSimulator:
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
 
+        Gradients are those of the solve itself. What is neutral throughout the batch is left out of it and has a gradient of
+        zero: for the slope at a neutral value use :func:`imr_torch.simulate.sensitivities`.
+
         Raises:
             ShapeError: if shapes do not fit.
             InputDataError: if a design is impossible, or times are not increasing and finite.
