@@ -32,9 +32,10 @@ from imr_torch.design.response import Shot, respond
 from imr_torch.files import write_json
 from imr_torch.material import CASES, PARAMETERS, Belief, ModelBelief, ReferenceCase, reference_case
 from imr_torch.observe import SimulatedLaboratory
-from imr_torch.simulate import Simulator, TransportSimulator, process_pool
+from imr_torch.simulate import Accuracy, Simulator, TransportSimulator, process_pool
 
 PLAN = Plan(repeats=100)
+SIMULATOR = TransportSimulator(accuracy=Accuracy(max_steps=20000))  # named, so that journals outlive a change of defaults
 SEARCH = Optimal(Estimator(draws=16), batch=5)
 POLICIES: dict[str, DesignPolicy] = {"optimal": SEARCH, "random": Random()}
 MODES = ("exact", "paper")
@@ -72,15 +73,14 @@ class Row:
 
 def study(folder: Path, case: ReferenceCase, policy: str, mode: str) -> Study:
     """Campaigns of one case, policy and mode."""
-    simulator = TransportSimulator()
-    laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), noise=PLAN.noise, repeats=PLAN.repeats)
+    laboratory = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(case.truth), noise=PLAN.noise, repeats=PLAN.repeats)
     settings = CampaignSettings(plan=PLAN, policy=POLICIES[policy])
     if mode == "paper":
         published = CampaignSettings.paper()
         chosen = published.policy if policy == "optimal" else POLICIES[policy]
         settings = CampaignSettings(plan=PLAN, policy=chosen, learner=PaperLearner())
     name = f"{case.key}_{policy}_{mode}"
-    return Study(folder / "campaigns" / name, case.prior, simulator, laboratory, settings, {"case": case.key})
+    return Study(folder / "campaigns" / name, case.prior, SIMULATOR, laboratory, settings, {"case": case.key})
 
 
 def run(

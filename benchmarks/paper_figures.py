@@ -19,7 +19,7 @@ import matplotlib.pyplot as plt
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from paper_campaigns import PLAN, POLICIES, SEARCH, WITHIN, Row, read, study
+from paper_campaigns import PLAN, POLICIES, SEARCH, SIMULATOR, WITHIN, Row, read, study
 
 from imr_torch.assimilate import PublishedFit, assimilate_published
 from imr_torch.campaign import PAPER_OPTIMAL, ExactLearner, Harvest, Learner, Optimal, PaperLearner, Situation
@@ -28,10 +28,8 @@ from imr_torch.files import write_json
 from imr_torch.material import CASES, PARAMETERS, Belief, TruncatedNormal, reference_case
 from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory, collapse_time
 from imr_torch.random import child
-from imr_torch.simulate import TransportSimulator
 
 CASE = reference_case("stiff-pa")
-SIMULATOR = TransportSimulator()
 RADII = {"985 um, .2887": (985e-6, 0.2887), "387 um, .15": (387e-6, 0.15)}
 DRAWS = (200, 400, 800, 1600)
 SPREADS = (0.02, 0.04, 0.06, 0.08, 0.10)
