@@ -28,7 +28,7 @@ PRIOR_NONE, PRIOR_OTHER = 0.5, 0.1
 ADEQUATE = 0.01
 """Below this ``p_ad`` the winner leaves a gap, and the verdict is a further effect or "other"."""
 
-_FIT = EnsembleOptions(starts=2, iterations=40, hopeless=12.0)
+_FIT = EnsembleOptions(starts=2, iterations=30, hopeless=6.0)
 
 
 @dataclass(frozen=True)
