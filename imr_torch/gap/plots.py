@@ -18,7 +18,7 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.gap.effects import LIBRARY
 from imr_torch.gap.latent import LatentPressure
 from imr_torch.gap.locate import PHASES, Onset, phase_clock, phase_name
-from imr_torch.gap.score import BlockResult, GapTest
+from imr_torch.gap.score import LEVEL, BlockResult, GapTest
 from imr_torch.gap.shrinkage import Shrinkage
 from imr_torch.gap.windows import MovingWindows
 from imr_torch.material import PARAMETERS
@@ -79,7 +79,7 @@ def plot_scores(test: GapTest, *, ax: Axes | None = None) -> Axes:
     shown = test.blocks[:_BARS]
     ax = _axes(ax, (6.4, 1.0 + 0.27 * len(shown)))
     strength = [_strength(b.p_value) for b in shown]
-    limit = -math.log10(0.04 / len(test.blocks))
+    limit = -math.log10(LEVEL / len(test.blocks))
     places = range(len(shown) - 1, -1, -1)
     ax.barh(places, strength, color=[ALARM if s > limit else "#AAAAAA" for s in strength], height=0.7)
     ax.axvline(limit, color=DATA, ls="--", lw=1)

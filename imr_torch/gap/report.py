@@ -19,7 +19,7 @@ from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.effects import LIBRARY
 from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.parts import Parts
-from imr_torch.gap.score import BlockResult
+from imr_torch.gap.score import LEVEL, BlockResult
 from imr_torch.material import PARAMETERS
 
 _LEVELS = (0.05, 0.5, 0.95)
@@ -119,7 +119,7 @@ def repeats_needed(power: float, rank: int, tests: int, *, wanted: float = 0.8) 
         tests: number of tests, for Bonferroni's level.
         wanted: power to be reached.
     """
-    threshold = chi2.isf(0.04 / tests, rank)
+    threshold = chi2.isf(LEVEL / tests, rank)
 
     def noncentrality(chance: float) -> float:
         return float(brentq(lambda size: ncx2.sf(threshold, rank, size) - chance, 1e-9, 1e4))  # type: ignore[arg-type]
@@ -133,7 +133,7 @@ def _where(report: GapReport, parts: Parts) -> tuple[str, ...]:
         lines.append(str(parts.onset))
     if parts.by_experiment is not None:
         which = parts.by_experiment
-        loud = [f"{label} ({_p(p)})" for label, p in zip(which.labels, which.p_values, strict=True) if p < 0.04]
+        loud = [f"{label} ({_p(p)})" for label, p in zip(which.labels, which.p_values, strict=True) if p < LEVEL]
         lines.append(f"Experiments that reject the model by themselves: {', '.join(loud) or 'none'}.")
         lines.append(which.reading)
     if parts.windows is not None:

@@ -21,6 +21,9 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 
+LEVEL = 0.04
+"""Chance of a gap being found where there is none."""
+
 _RANK = 1e-3  # singular values below this part of the largest add no direction
 _BOOTSTRAP = 2000
 _PULSES = 8
@@ -72,8 +75,8 @@ class GapTest:
 
     @property
     def found(self) -> bool:
-        """Whether there is a gap at the 4 % level."""
-        return self.p_value < 0.04
+        """Whether there is a gap at ``LEVEL``."""
+        return self.p_value < LEVEL
 
 
 def effect_directions(
@@ -183,7 +186,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     bonferroni = min(1.0, len(ranks) * math.exp(float(smallest[0])))
     # beyond the bootstrap's reach Bonferroni's bound is the honest figure
     p_value = (1 + count) / (1 + _BOOTSTRAP) if count else min(bonferroni, 1.0 / (1 + _BOOTSTRAP))
-    threshold = float(smallest[1:].quantile(0.04).exp())
+    threshold = float(smallest[1:].quantile(LEVEL).exp())
     results = [
         BlockResult(
             name,

@@ -1,0 +1,164 @@
+"""One set of the benchmark from its task to its line: make it, diagnose it, judge parts against the truth, add baselines."""
+
+import hashlib
+import importlib
+import json
+import numbers
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, is_dataclass
+from typing import Any
+
+from benchmarks.gap.baselines import baselines
+from benchmarks.gap.sets import SyntheticSet, Task, make_set
+from imr_torch.errors import ConvergenceWarning, ImrError
+from imr_torch.gap import LIBRARY, GapReport, diagnose, to_json
+from imr_torch.gap.attribute import ADEQUATE, adequacy_test
+from imr_torch.gap.hypotheses import Hypothesis
+from imr_torch.gap.linear import Linearisation, linearise
+from imr_torch.gap.locate import onset
+from imr_torch.gap.score import effect_directions
+from imr_torch.gap.shrinkage import held_out, shrinkage_unseen
+from imr_torch.observe import ExperimentBatch
+from imr_torch.random import child
+from imr_torch.simulate import PolytropicSimulator, TransportSimulator
+
+_DECIDING = ("score", "attribute", "diagnose", "hypotheses", "locate", "restrict", "shrinkage", "windows")
+_KEPT = ("gap", "p_gap", "bias_sigma", "verdict", "cause", "adequacy_p", "converged", "seconds")
+
+
+@dataclass(frozen=True)
+class Extras:
+    """Parts beside the verdict.
+
+    Args:
+        onset: the phase in which the gap begins.
+        shrinkage: how far the truth shrinks the gap on unseen designs, and whether the best wrong effect is exposed.
+        baselines: what others would do.
+    """
+
+    onset: bool = False
+    shrinkage: bool = False
+    baselines: bool = True
+
+
+def thresholds() -> dict[str, str]:
+    """Every constant of the modules that decide, by module and name."""
+    found = {}
+    for name in _DECIDING:
+        module = importlib.import_module(f"imr_torch.gap.{name}")
+        for key, value in vars(module).items():
+            plain = isinstance(value, numbers.Number | tuple) or (is_dataclass(value) and not isinstance(value, type))
+            if key.isupper() and plain:
+                found[f"{name}.{key}"] = repr(value)
+    return found
+
+
+def frozen() -> str:
+    """Hash of the thresholds and of the library with its priors and starts; it stands in every line."""
+    document = json.dumps([thresholds(), [repr(effect) for effect in LIBRARY.values()]])
+    return hashlib.sha256(document.encode()).hexdigest()[:12]
+
+
+def run_task(task: Task, extras: Extras | None = None) -> dict[str, Any]:
+    """The line of a task, ready for JSON; what failed is in it, as an undecided verdict with the reason."""
+    extras = extras or Extras()
+    line: dict[str, Any] = {"key": task.key, "kind": task.kind, "size": task.size, "physics": task.physics}
+    line |= {"nuisances": task.nuisances, "seed": task.seed, "frozen": frozen()}
+    try:
+        data = make_set(task)
+        line |= {"truth": list(data.truth), "values": data.values, "signal": data.signal}
+        line |= {"designs": [list(e.design) for e in data.experiments], "offered": len(data.offered)}
+        simulator, seed = task.simulator(), child(task.seed, "diagnosis", task.key)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # certificates are in the line
+            report = diagnose(data.experiments, effects=data.offered, simulator=simulator, seed=seed)
+            line |= summary(report)
+            for part in _parts(data, report, simulator, seed, extras):
+                line |= part
+    except ImrError as error:
+        line = {"truth": [], "gap": False, "verdict": "undecided", "cause": [], "converged": False} | line
+        line["error"] = f"{type(error).__name__}: {error}"
+    return line
+
+
+def summary(report: GapReport) -> dict[str, Any]:
+    """What a report says, in the words of the command's JSON.
+
+    ``selected`` are effects that were settled on before the last; ``"none"`` in the posterior beside them is called by their
+    names, so that a name always says all that acts.
+    """
+    document = to_json(report)
+    line: dict[str, Any] = {key: document[key] for key in _KEPT}
+    line |= {"selected": [], "winner": None, "posterior": None, "credible_set": None}
+    found = report.attribution
+    if found is not None:
+        *before, _ = found.winner.split("+")
+        own = {"none": "+".join(before)} if before else {}
+        line["selected"], line["winner"] = before, found.winner
+        line["posterior"] = {own.get(name, name): p for name, p in found.posterior.items() if p > 1e-6}
+        line["credible_set"] = [own.get(name, name) for name in found.credible_set(0.95)]
+    return line
+
+
+def _parts(
+    data: SyntheticSet, report: GapReport, simulator: PolytropicSimulator | TransportSimulator, seed: int, extras: Extras
+) -> Iterator[dict[str, Any]]:
+    """The parts asked for, as far as the report allows them."""
+    line = linearise(report.null, report.batch, simulator)
+    if extras.baselines:
+        yield {"baselines": baselines(report, line, data.offered, simulator, seed=child(seed, "baselines"))}
+    if not (report.gap.found and report.null.certificate.converged):
+        return
+    if extras.onset and data.truth:
+        yield _onset(data, report, line, simulator, seed)
+    if extras.shrinkage and len(data.truth) == 1 and report.attribution is not None:
+        yield _shrinkage(data, report, simulator, seed)
+
+
+def _onset(
+    data: SyntheticSet, report: GapReport, line: Linearisation, simulator: PolytropicSimulator | TransportSimulator, seed: int
+) -> dict[str, Any]:
+    """Phase of the onset, and that which the same test finds in data without noise: the best that these repeats allow."""
+    phases = []
+    clean = data.noiseless()
+    for batch, near in ((report.batch, line), (clean, linearise(report.null, clean, simulator))):
+        directions = effect_directions(data.offered, report.null, batch, simulator, near)
+        phases.append(onset(report.null, near, batch, simulator, seed=child(seed, "onset"), directions=directions))
+    return {"onset_phase": phases[0].phase, "onset_t": phases[0].time, "onset_truth": phases[1].phase}
+
+
+def _shrinkage(
+    data: SyntheticSet, report: GapReport, simulator: PolytropicSimulator | TransportSimulator, seed: int
+) -> dict[str, Any]:
+    """How far the right effect shrinks the gap on unseen designs, measured and true, and whether the best wrong one is exposed.
+
+    A wrong effect is exposed if its own fit is not adequate, or if it loses to the right one on the unseen designs by two
+    standard errors. Nothing where the truth was not fitted to the end: that is a miss of the attribution, counted there.
+    """
+    found, truth = report.attribution, data.truth[0]
+    assert found is not None
+    family = LIBRARY[truth].family
+    single = {n: f for n, f in found.fits.items() if n != "none" and "+" not in n and f.certificate.converged}
+    wrong = [name for name in single if LIBRARY[name].family != family]
+    if truth not in single:
+        return {}
+    rival = max(wrong, key=lambda name: found.log_evidence[name], default=None)
+    fits = {"none": report.null, truth: single[truth]} | ({rival: single[rival]} if rival else {})
+    right, other = (Hypothesis(report.null.prior, (LIBRARY[n],)) if n else None for n in (truth, rival))
+    assert right is not None
+    unseen = ExperimentBatch(data.unseen, report.batch.noise)
+    judged = shrinkage_unseen(right, other, fits, unseen, simulator, seed=child(seed, "shrinkage"))
+    clean = data.noiseless(unseen=True)
+    parts = [ExperimentBatch((e,), clean.noise) for e in clean.experiments]
+    true_gap = {n: sum(float(held_out(fits[n], p, simulator).residual.square().sum()) for p in parts) for n in ("none", truth)}
+    line: dict[str, Any] = {
+        "shrinkage": list(judged.shrinkage[truth]),
+        "shrinkage_true": 1.0 - true_gap[truth] / max(true_gap["none"], 1e-300),
+        "rival": rival,
+    }
+    if rival:
+        adequacy, _ = adequacy_test(fits[rival], data.offered, report.batch, simulator, seed=child(seed, "rival"))
+        lost = any(c.against == rival and c.won for c in judged.comparisons)
+        line |= {"rival_adequacy_p": adequacy.p_value, "rival_lost": lost, "rival_exposed": adequacy.p_value < ADEQUATE or lost}
+    return line

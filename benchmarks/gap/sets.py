@@ -1,0 +1,232 @@
+"""Synthetic sets whose truth is known: a random gel and designs, with no effect, one, or two, as a camera would film them.
+
+Effects act through the library, so this tests the diagnosis where its closures are right; whether it survives those of
+another hand is for data from elsewhere. Truths are simulated more finely than the diagnosis simulates.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.gap import LIBRARY, Effect, library
+from imr_torch.gap.sets import NUISANCE
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
+from imr_torch.random import child, generator
+from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, TransportSimulator
+
+KINDS = ("none", "effect", "withheld", "pair")
+PHYSICS = ("polytropic", "transport")
+UNSEEN = 2  # designs beside those diagnosed, to judge shrinkage on
+
+_GEL = {"G": (2e3, 15e3), "mu": (0.03, 0.3)}
+_WEBER, _REST = (100.0, 1000.0), (0.14, 0.30)
+_APART = 0.1  # least distance of two designs, both coordinates scaled to 1
+_AMPLITUDE = (0.2, 2.0)  # in prior standard deviations
+_ACTS = 0.1  # least sd: what acts less does nothing in this physics
+_SEEN = 4.0  # sd beside G and mu at which an effect counts as detectable
+_DRAWS = {"none": 0, "effect": 4, "withheld": 4, "pair": 8}  # effects drawn, of which detectable ones come first
+_ATTEMPTS = 20
+
+
+@dataclass(frozen=True)
+class Task:
+    """One set of the benchmark; all that it depends on.
+
+    Args:
+        kind: one of ``KINDS``.
+        designs: how many are diagnosed.
+        repeats: curves a design.
+        physics: one of ``PHYSICS``.
+        seed: of the set and of its diagnosis.
+        nuisances: whether each experiment has errors of Rmax, time zero and R_inf, which the diagnosis knows about.
+        effects: names that truths are drawn from and that are offered; the whole library when empty.
+    """
+
+    kind: str
+    designs: int
+    repeats: int
+    physics: str
+    seed: int
+    nuisances: bool = False
+    effects: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS or self.physics not in PHYSICS:
+            raise InputDataError(f"Task: expected a kind of {KINDS} and a physics of {PHYSICS}, got {self.kind}, {self.physics}.")
+        if self.designs < 1 or self.repeats < 1:
+            raise InputDataError(f"Task: {self.designs} designs x {self.repeats} repeats; expected at least 1 of each.")
+
+    @property
+    def size(self) -> str:
+        """Designs x repeats."""
+        return f"{self.designs}x{self.repeats}"
+
+    @property
+    def key(self) -> str:
+        """What tells it from every other set."""
+        return f"{self.kind}/{self.size}/{self.physics}/{'nuisances' if self.nuisances else 'exact'}/{self.seed}"
+
+    @property
+    def candidates(self) -> tuple[Effect, ...]:
+        """Effects that the truth is drawn from."""
+        return library(self.effects or None)
+
+    def simulator(self, *, fine: bool = False) -> PolytropicSimulator | TransportSimulator:
+        """The simulator of the diagnosis, or the finer one of the truth."""
+        if self.physics == "polytropic":
+            return PolytropicSimulator(stepping=STEPPINGS["reference" if fine else "default"])
+        return TransportSimulator(accuracy=ACCURACIES["default" if fine else "search"])
+
+
+@dataclass(frozen=True)
+class SyntheticSet:
+    """Data and what is behind them.
+
+    Args:
+        experiments: what the diagnosis sees.
+        unseen: further designs of the same gel.
+        curves: true curves of both, as filmed without noise: ``E x n_t`` tensor.
+        truth: names of the effects that act.
+        offered: the library of the diagnosis.
+        values: true parameters beside neutral ones, SI.
+        signal: sd that each effect adds beside G and mu in the data that are diagnosed (nuisances apart).
+    """
+
+    experiments: tuple[Experiment, ...]
+    unseen: tuple[Experiment, ...]
+    curves: Tensor
+    truth: tuple[str, ...]
+    offered: tuple[Effect, ...]
+    values: dict[str, float]
+    signal: dict[str, float] = field(default_factory=dict)
+
+    def noiseless(self, *, unseen: bool = False) -> ExperimentBatch:
+        """The set, or its unseen designs, with the true curve in place of every repeat."""
+        chosen, start = (self.unseen, len(self.experiments)) if unseen else (self.experiments, 0)
+        rows = self.curves[start : start + len(chosen)]
+        return ExperimentBatch(
+            tuple(
+                Experiment(e.label, e.design, e.times, row.expand_as(e.radius), e.nuisance)
+                for e, row in zip(chosen, rows, strict=True)
+            )
+        )
+
+
+def make_set(task: Task) -> SyntheticSet:
+    """The set of a task; draws whose truth cannot be simulated are drawn anew.
+
+    Raises:
+        ConvergenceError: if no draw can.
+    """
+    for attempt in range(_ATTEMPTS):
+        made = _try(task, generator(child(task.seed, task.key, attempt)))
+        if made is not None:
+            return made
+    raise ConvergenceError(f"None of {_ATTEMPTS} truths of {task.key} could be simulated.")
+
+
+def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
+    simulator = task.simulator(fine=True)
+    gel = {name: _log_uniform(bounds, source) for name, bounds in _GEL.items()}
+    plan = _plan(draw_designs(task.designs + UNSEEN, source), task)
+    drawn = [draw_effect(_one_of(task.candidates, source), source) for _ in range(_DRAWS[task.kind])]
+    signals = _signals(gel, drawn, ExperimentBatch(plan.experiments[: task.designs]), simulator, task.repeats)
+    chosen = choose(drawn, signals, {"none": 0, "pair": 2}.get(task.kind, 1))
+    if chosen is None:
+        return None
+    values = gel | {name: value for i in chosen for name, value in drawn[i][1].items()}
+    shifts = torch.randn(1, len(plan.experiments), 3, generator=source, dtype=torch.float64) * plan.nuisance_sds
+    curves = predict(simulator, PARAMETERS.pack(values)[None], plan, shifts)[0]
+    if not bool(torch.isfinite(curves).all()):
+        return None
+    filmed = tuple(
+        Experiment(e.label, e.design, e.times, Noise().draw(r, e.times, task.repeats, generator=source), e.nuisance)
+        for e, r in zip(plan.experiments, curves, strict=True)
+    )
+    truth = tuple(drawn[i][0].name for i in chosen)
+    hidden = {drawn[i][0].family for i in chosen} if task.kind == "withheld" else set()
+    offered = tuple(effect for effect in task.candidates if effect.family not in hidden)
+    signal = {drawn[i][0].name: signals[i] for i in chosen}
+    return SyntheticSet(filmed[: task.designs], filmed[task.designs :], curves, truth, offered, values, signal)
+
+
+def _one_of(effects: tuple[Effect, ...], source: torch.Generator) -> Effect:
+    return effects[int(torch.randint(len(effects), (), generator=source))]
+
+
+def _log_uniform(bounds: tuple[float, float], source: torch.Generator) -> float:
+    low, high = map(math.log, bounds)
+    return math.exp(low + (high - low) * float(torch.rand((), generator=source, dtype=torch.float64)))
+
+
+def draw_designs(count: int, source: torch.Generator) -> Tensor:
+    """``count x 2`` random designs (We log-uniform, R_inf* uniform), none nearly another."""
+    kept: list[Tensor] = []
+    while len(kept) < count:
+        point = torch.rand(2, generator=source, dtype=torch.float64)
+        if all(float((point - other).norm()) >= _APART for other in kept):
+            kept.append(point)
+    unit = torch.stack(kept)
+    weber = _WEBER[0] * (_WEBER[1] / _WEBER[0]) ** unit[:, 0]
+    return torch.stack((weber, _REST[0] + (_REST[1] - _REST[0]) * unit[:, 1]), 1)
+
+
+def _plan(designs: Tensor, task: Task) -> ExperimentBatch:
+    """Experiments before they are shot."""
+    times = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
+    nuisance, blank = NUISANCE if task.nuisances else Nuisance(), torch.ones(1, 81, dtype=torch.float64)
+    pairs = [(weber, rest) for weber, rest in designs.tolist()]
+    return ExperimentBatch(tuple(Experiment(f"design {i}", d, times, blank, nuisance) for i, d in enumerate(pairs)))
+
+
+def draw_effect(effect: Effect, source: torch.Generator) -> tuple[Effect, dict[str, float]]:
+    """An effect with random values: its amplitude .2 to 2 prior standard deviations, the others from their priors."""
+    values = {}
+    for i, (name, prior) in enumerate(effect.priors.items()):
+        u = torch.randn((), generator=source, dtype=torch.float64)
+        if i:
+            values[name] = float(prior.to_physical(u))
+            continue
+        size = prior.sd * _log_uniform(_AMPLITUDE, source)  # type: ignore[attr-defined]  # amplitudes are truncated normal
+        signed = math.copysign(size, float(u))
+        lower, upper = max(prior.lower, PARAMETERS[name].lower), min(prior.upper, PARAMETERS[name].upper)
+        values[name] = signed if lower <= signed <= upper else min(size, upper)
+    return effect, values
+
+
+def _signals(
+    gel: dict[str, float],
+    drawn: list[tuple[Effect, dict[str, float]]],
+    plan: ExperimentBatch,
+    simulator: PolytropicSimulator | TransportSimulator,
+    repeats: int,
+) -> list[float]:
+    """Length in sd of what each effect changes beside G and mu; NaN where it cannot be simulated."""
+    if not drawn:
+        return []
+    nudged = [gel, *(gel | {name: 1.01 * gel[name]} for name in gel), *(gel | values for _, values in drawn)]
+    curves = predict(simulator, torch.stack([PARAMETERS.pack(values) for values in nudged]), plan)
+    rows = (plan.whiten(curves[1:] - curves[0], plan.sd(curves[0])) * math.sqrt(repeats)).flatten(1)
+    basis = torch.linalg.qr(rows[: len(gel)].nan_to_num().mT).Q
+    rows = rows[len(gel) :]
+    return (rows - (rows @ basis) @ basis.mT).norm(dim=1).tolist()
+
+
+def choose(drawn: list[tuple[Effect, dict[str, float]]], signals: list[float], count: int) -> list[int] | None:
+    """Which draws become the truth: of different families, the first that are detectable, else the strongest.
+
+    Returns:
+        Places in ``drawn``; None if too few act at all.
+    """
+    able = [i for i, signal in enumerate(signals) if signal >= _ACTS]  # not NaN either
+    order = sorted(able, key=lambda i: (0, i) if signals[i] >= _SEEN else (1, -signals[i]))
+    chosen: list[int] = []
+    for i in order:
+        families = {LIBRARY[drawn[j][0].name].family for j in chosen}
+        if len(chosen) < count and drawn[i][0].family not in families:
+            chosen.append(i)
+    return chosen if len(chosen) == count else None
