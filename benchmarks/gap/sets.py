@@ -12,6 +12,7 @@ from torch import Tensor
 
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import LIBRARY, Effect, library
+from imr_torch.gap.locate import PHASES, phase_clock, phase_name
 from imr_torch.gap.sets import NUISANCE
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
@@ -28,6 +29,7 @@ _APART = 0.1  # least distance of two designs, both coordinates scaled to 1
 _AMPLITUDE = (0.2, 2.0)  # in prior standard deviations
 _ACTS = 0.1  # least sd: what acts less does nothing in this physics
 _SEEN = 4.0  # sd beside G and mu at which an effect counts as detectable
+_LOUD = 4.5  # sd at which one test of hundreds rejects at one per cent
 _DRAWS = {"none": 0, "effect": 4, "withheld": 4, "pair": 8}  # effects drawn, of which detectable ones come first
 _ATTEMPTS = 20
 
@@ -56,7 +58,9 @@ class Task:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS or self.physics not in PHYSICS:
-            raise InputDataError(f"Task: expected a kind of {KINDS} and a physics of {PHYSICS}, got {self.kind}, {self.physics}.")
+            raise InputDataError(
+                f"Task: expected a kind of {KINDS} and a physics of {PHYSICS}, got {self.kind}, {self.physics}."
+            )
         if self.designs < 1 or self.repeats < 1:
             raise InputDataError(f"Task: {self.designs} designs x {self.repeats} repeats; expected at least 1 of each.")
 
@@ -94,6 +98,7 @@ class SyntheticSet:
         offered: the library of the diagnosis.
         values: true parameters beside neutral ones, SI.
         signal: sd that each effect adds beside G and mu in the data that are diagnosed (nuisances apart).
+        phase: first phase up to whose end an effect adds what shows in a test for it, ``"none"`` if never.
     """
 
     experiments: tuple[Experiment, ...]
@@ -103,6 +108,7 @@ class SyntheticSet:
     offered: tuple[Effect, ...]
     values: dict[str, float]
     signal: dict[str, float] = field(default_factory=dict)
+    phase: str = "none"
 
     def noiseless(self, *, unseen: bool = False) -> ExperimentBatch:
         """The set, or its unseen designs, with the true curve in place of every repeat."""
@@ -134,7 +140,8 @@ def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
     gel = {name: _log_uniform(bounds, source) for name, bounds in _GEL.items()}
     plan = _plan(draw_designs(task.designs + UNSEEN, source), task)
     drawn = [draw_effect(_one_of(task.candidates, source), source) for _ in range(_DRAWS[task.kind])]
-    signals = _signals(gel, drawn, ExperimentBatch(plan.experiments[: task.designs]), simulator, task.repeats)
+    by_phase = _signals(gel, drawn, ExperimentBatch(plan.experiments[: task.designs]), simulator, task.repeats)
+    signals = [row[-1] for row in by_phase]
     chosen = choose(drawn, signals, {"none": 0, "pair": 2}.get(task.kind, 1))
     if chosen is None:
         return None
@@ -151,7 +158,9 @@ def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
     hidden = {drawn[i][0].family for i in chosen} if task.kind == "withheld" else set()
     offered = tuple(effect for effect in task.candidates if effect.family not in hidden)
     signal = {drawn[i][0].name: signals[i] for i in chosen}
-    return SyntheticSet(filmed[: task.designs], filmed[task.designs :], curves, truth, offered, values, signal)
+    loud = [place for i in chosen for place, size in enumerate(by_phase[i]) if size >= _LOUD]
+    phase = PHASES[min(loud)] if loud else "none"
+    return SyntheticSet(filmed[: task.designs], filmed[task.designs :], curves, truth, offered, values, signal, phase)
 
 
 def _one_of(effects: tuple[Effect, ...], source: torch.Generator) -> Effect:
@@ -204,16 +213,21 @@ def _signals(
     plan: ExperimentBatch,
     simulator: PolytropicSimulator | TransportSimulator,
     repeats: int,
-) -> list[float]:
-    """Length in sd of what each effect changes beside G and mu; NaN where it cannot be simulated."""
+) -> list[list[float]]:
+    """Length in sd of what each effect changes beside G and mu up to the end of each phase; NaN where it has no curve."""
     if not drawn:
         return []
     nudged = [gel, *(gel | {name: 1.01 * gel[name]} for name in gel), *(gel | values for _, values in drawn)]
     curves = predict(simulator, torch.stack([PARAMETERS.pack(values) for values in nudged]), plan)
-    rows = (plan.whiten(curves[1:] - curves[0], plan.sd(curves[0])) * math.sqrt(repeats)).flatten(1)
-    basis = torch.linalg.qr(rows[: len(gel)].nan_to_num().mT).Q
-    rows = rows[len(gel) :]
-    return (rows - (rows @ basis) @ basis.mT).norm(dim=1).tolist()
+    rows = plan.whiten(curves[1:] - curves[0], plan.sd(curves[0])) * math.sqrt(repeats)
+    clock = phase_clock(plan.times, curves[0].nan_to_num(), plan.mask)
+    phase = torch.tensor([[PHASES.index(phase_name(c)) for c in row] for row in clock.tolist()])
+    lengths = []
+    for last in range(len(PHASES)):
+        seen = (rows * (phase <= last)).flatten(1)
+        basis, changes = torch.linalg.qr(seen[: len(gel)].nan_to_num().mT).Q, seen[len(gel) :]
+        lengths.append((changes - (changes @ basis) @ basis.mT).norm(dim=1))
+    return torch.stack(lengths, 1).tolist()
 
 
 def choose(drawn: list[tuple[Effect, dict[str, float]]], signals: list[float], count: int) -> list[int] | None:

@@ -1,0 +1,270 @@
+"""The benchmark of the diagnosis: sets are what they say, a reduced run leaves lines, and the scorer counts by hand."""
+
+import json
+import math
+
+import pytest
+import torch
+from scipy.stats import binomtest
+
+from benchmarks.gap.__main__ import append, main, tasks
+from benchmarks.gap.run import frozen, thresholds
+from benchmarks.gap.sets import Task, choose, draw_designs, draw_effect, make_set
+from benchmarks.gap.table import (
+    Row,
+    both_right,
+    clopper_pearson,
+    controls,
+    credible,
+    first_right,
+    guess_from_designs,
+    named_right,
+    posterior,
+    quantile_row,
+    read_lines,
+    shares,
+    table,
+)
+from imr_torch.errors import InputDataError
+from imr_torch.gap import LIBRARY
+from imr_torch.observe import ExperimentBatch
+from imr_torch.random import generator
+
+SMALL = ("wall", "rinf_bias", "gas_loss")
+OPTIONS = ["--sizes", "2x10", "--sets", "1", "--effects", ",".join(SMALL)]
+
+
+def line(kind: str = "effect", **changes) -> dict:
+    """A line as a run would leave it: a wall, found and named."""
+    made = {
+        "key": "key",
+        "kind": kind,
+        "size": "3x10",
+        "physics": "polytropic",
+        "nuisances": False,
+        "frozen": "hash",
+        "truth": [] if kind == "none" else ["wall"],
+        "phase": "first collapse",
+        "designs": [[200.0, 0.2], [500.0, 0.25], [800.0, 0.15]],
+        "gap": kind != "none",
+        "verdict": "none" if kind == "none" else "effect",
+        "cause": [] if kind == "none" else ["wall"],
+        "selected": [],
+        "posterior": None if kind == "none" else {"wall": 0.85, "damage": 0.05, "other": 0.1},
+        "converged": True,
+    }
+    return made | changes
+
+
+def value_of(rows: list[Row], figure: str, size: str = "3x10") -> Row:
+    return next(row for row in rows if (row.figure, row.size) == (figure, size))
+
+
+@pytest.mark.parametrize("kind", ["none", "effect", "withheld", "pair"])
+def test_that_a_set_holds_what_its_kind_says(kind: str) -> None:
+    made = make_set(Task(kind, 3, 4, "polytropic", 5))
+    assert len(made.truth) == {"none": 0, "pair": 2}.get(kind, 1)
+    assert set(made.values) == {"G", "mu"} | {name for effect in made.truth for name in LIBRARY[effect].names}
+    hidden = {LIBRARY[name].family for name in made.truth} if kind == "withheld" else set()
+    assert {effect.family for effect in made.offered} == {effect.family for effect in LIBRARY.values()} - hidden
+    assert [e.radius.shape for e in made.experiments] == [(4, 81)] * 3
+    assert all(size > 0.1 for size in made.signal.values())
+
+
+def test_that_a_set_is_its_truth_plus_noise_of_the_law_and_depends_on_its_key_alone() -> None:
+    task = Task("effect", 2, 200, "polytropic", 1, nuisances=True, effects=SMALL)
+    made = make_set(task)
+    assert torch.equal(made.experiments[0].radius, make_set(task).experiments[0].radius)
+    assert not torch.equal(made.curves, make_set(Task("effect", 2, 200, "polytropic", 2, True, SMALL)).curves)
+    clean, noisy = made.noiseless(), ExperimentBatch(made.experiments)
+    whitened = noisy.whiten(noisy.mean - clean.mean, noisy.sd(clean.mean))
+    assert 0.8 < float(whitened.square().mean()) < 1.2
+    assert made.experiments[0].nuisance.rest_radius == 0.01
+    assert torch.allclose(made.noiseless(unseen=True).mean, made.curves[2:])
+
+
+def test_that_designs_keep_apart_and_amplitudes_within_what_is_typical() -> None:
+    source = generator(0)
+    points = draw_designs(10, source)
+    unit = torch.stack((points[:, 0].log10() - 2.0, (points[:, 1] - 0.14) / 0.16), 1)
+    assert float((torch.cdist(unit, unit) + torch.eye(10)).min()) >= 0.1
+    assert float(unit.min()) >= 0.0
+    assert float(unit.max()) <= 1.0
+    for effect in LIBRARY.values():
+        prior = effect.priors[effect.names[0]]
+        amplitudes = [draw_effect(effect, source)[1][effect.names[0]] for _ in range(20)]
+        assert all(0.2 <= abs(a) / prior.sd <= 2.0 and prior.lower <= a <= prior.upper for a in amplitudes)
+        assert (min(amplitudes) < 0.0) == (prior.lower < 0.0)
+
+
+def test_that_detectable_effects_become_the_truth_first_and_one_of_each_family() -> None:
+    names = ("wall", "residual_velocity", "trigger_offset", "damage")
+    drawn = [(LIBRARY[name], {}) for name in names]
+    assert choose(drawn, [1.0, 8.0, 90.0, 5.0], 1) == [1]
+    assert choose(drawn, [1.0, 8.0, 90.0, 5.0], 2) == [1, 3]  # the trigger is of the same class as the velocity
+    assert choose(drawn, [1.0, 2.0, 3.0, math.nan], 1) == [2]
+    assert choose(drawn, [0.0, math.nan, 0.0, 0.0], 1) is None
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> list[dict]:
+    """Lines of one set without, one with and one with a withheld effect, from the command; the last of another run."""
+    path = tmp_path_factory.mktemp("run") / "lines.jsonl"
+    main(["run", str(path), *OPTIONS, "--kinds", "none,effect", "--onset", "--shrinkage"])
+    before = path.read_text()
+    path.write_text(before + '{"key": "torn')
+    main(["run", str(path), *OPTIONS, "--kinds", "none,withheld", "--no-baselines"])
+    assert path.read_text().startswith(before)  # a set that has a line is not run again
+    return read_lines(path)
+
+
+def test_that_a_run_leaves_one_line_a_set_and_tells_the_three_kinds_apart(made) -> None:
+    none, effect, withheld = made
+    assert [x["key"] for x in made] == [f"{kind}/2x10/polytropic/exact/0" for kind in ("none", "effect", "withheld")]
+    assert all(x["frozen"] == frozen() and x["converged"] and "error" not in x for x in made)
+    assert (none["gap"], none["verdict"]) == (False, "none")
+    assert (effect["gap"], named_right(effect)) == (True, True)
+    assert set(withheld["truth"]).isdisjoint(withheld["posterior"] or {})
+
+
+def test_that_parts_and_baselines_are_measured_against_the_truth(made) -> None:
+    none, effect, withheld = made
+    assert set(effect["baselines"]) == {"chi_square_p", "closed_set", "gp_closed", "closure_p", "windows_p"}
+    assert none["baselines"]["closure_p"] > 0.001 > effect["baselines"]["closure_p"]
+    assert effect["shrinkage_true"] > 0.8
+    assert effect["onset_phase"] != "none"
+    assert effect["rival"] != effect["truth"][0]
+    assert "shrinkage" not in withheld
+    assert "baselines" not in withheld
+
+
+def test_that_a_table_of_the_run_has_every_figure(made, tmp_path, capsys) -> None:
+    for x in made:
+        append(tmp_path / "lines.jsonl", x | {"seconds": math.nan})
+    main(["table", str(tmp_path / "lines.jsonl"), "--json", str(tmp_path / "rows.json")])
+    text = capsys.readouterr().out
+    assert "3 sets, 0 failed" in text
+    assert "| false alarm, no gap | all | 0.000 | 1 | 0.000 to 0.950 | <= 0.05 | <= 0.05 | met |" in text
+    assert {row["figure"] for row in json.loads((tmp_path / "rows.json").read_text())["polytropic"]} > {
+        "pairs: both named right"
+    }
+
+
+def test_that_thresholds_are_those_of_the_library_and_a_change_shows() -> None:
+    assert thresholds()["score.LEVEL"] == "0.04"
+    assert thresholds()["attribute.ADEQUATE"] == "0.01"
+    assert "THRESHOLDS OR LIBRARY CHANGED" in table([line(), line(frozen="another")])
+    assert "CHANGED" not in table([line(), line()])
+
+
+@pytest.mark.parametrize(("hits", "count"), [(0, 20), (3, 20), (20, 20), (7, 200)])
+def test_that_intervals_are_those_of_clopper_and_pearson(hits: int, count: int) -> None:
+    exact = binomtest(hits, count).proportion_ci(0.9, "exact")
+    assert clopper_pearson(hits, count) == pytest.approx((exact.low, exact.high))
+    if hits == 0:
+        assert clopper_pearson(hits, count)[1] == pytest.approx(1.0 - 0.05 ** (1.0 / count))
+
+
+@pytest.mark.parametrize(
+    ("changes", "right"),
+    [
+        ({}, True),
+        ({"verdict": "class", "cause": ["damage", "wall"]}, True),
+        ({"cause": ["damage"]}, False),
+        ({"cause": ["wall", "damage"], "selected": ["wall"]}, False),  # an effect too many
+        ({"verdict": "undecided"}, False),
+        ({"verdict": "other", "cause": []}, False),
+        ({"truth": ["trigger_offset"], "cause": ["residual_velocity"]}, True),  # the same to first order
+    ],
+)
+def test_that_a_cause_is_right_if_it_is_the_truth_or_a_class_with_it(changes: dict, right: bool) -> None:
+    assert named_right(line(**changes)) == right
+
+
+@pytest.mark.parametrize(
+    ("cause", "selected", "first", "both"),
+    [
+        (["wall", "damage"], ["wall"], True, True),
+        (["wall", "damage", "clock"], ["wall"], True, True),
+        (["wall", "clock"], ["wall"], True, False),
+        (["clock", "wall"], ["clock"], False, False),
+        (["damage"], [], True, False),
+    ],
+)
+def test_that_pairs_are_scored_by_the_first_and_by_both(cause, selected, first: bool, both: bool) -> None:
+    pair = line("pair", truth=["damage", "wall"], cause=cause, selected=selected)
+    assert (first_right(pair), both_right(pair)) == (first, both)
+
+
+def test_that_figures_are_the_shares_counted_by_hand() -> None:
+    lines = [
+        *(line("none") for _ in range(19)),
+        line("none", gap=True, verdict="other"),
+        *(line() for _ in range(3)),
+        line(verdict="other", cause=[]),
+        line(gap=False, verdict="none", cause=[], posterior=None),
+        line(nuisances=True, cause=["damage"]),
+        line("withheld", verdict="other", cause=[]),
+        line("withheld", cause=["damage"]),
+        line("withheld", gap=False, verdict="none", cause=[], posterior=None),
+    ]
+    rows = shares(lines)
+    assert value_of(rows, "false alarm, no gap", "all").value == pytest.approx(0.05)
+    assert value_of(rows, "named right, effect in the library").value == pytest.approx(3 / 5)
+    assert value_of(rows, "named right, given detected").value == pytest.approx(3 / 4)
+    assert value_of(rows, "named right, with nuisances").value == 0.0
+    assert value_of(rows, "withheld called other, given detected").count == 2
+    assert value_of(rows, "withheld given a wrong name, given detected").value == pytest.approx(0.5)
+    assert value_of(rows, "false other, effect in the library", "all").value == pytest.approx(1 / 6)
+    assert value_of(rows, "named right, effect in the library", "10x10").count == 0
+    assert "met" in str(value_of(rows, "false alarm, no gap", "all"))
+    assert "missed" in str(value_of(rows, "named right, effect in the library"))
+
+
+def test_that_the_posterior_is_summed_over_classes_and_other_may_be_left_out() -> None:
+    one = line(posterior={"residual_velocity": 0.5, "trigger_offset": 0.35, "wall": 0.05, "other": 0.1})
+    classes, probability = posterior(one, given_library=False)[0]
+    assert (set(classes), probability) == ({"start"}, pytest.approx(0.85))
+    assert posterior(one, given_library=True)[0][1] == pytest.approx(0.85 / 0.9)
+    assert [set(c) for c in credible(one, given_library=False)] == [{"start"}, {"other"}]
+    assert [set(c) for c in credible(one, given_library=True)] == [{"start"}, {"wall"}]
+
+
+def test_that_the_interval_of_a_median_lies_between_order_statistics() -> None:
+    row = quantile_row("median", "3x10", [float(i) for i in range(101)], 0.5)
+    assert (row.value, row.count) == (50.0, 101)
+    assert (row.low, row.high) == (42.0, 59.0)  # binomial(101, 1/2) at 5 and 95 per cent
+
+
+def test_that_shuffled_truths_and_designs_alone_are_at_chance_and_told_truths_are_not() -> None:
+    names = ("wall", "damage", "clock", "gas_loss")
+    source = generator(1)
+    lines = []
+    for i in range(80):
+        name, designs = names[i % 4], draw_designs(3, source).tolist()
+        lines.append(line(truth=[name], cause=[name], designs=designs))
+    assert value_of(shares(lines), "named right, effect in the library").value == 1.0
+    for row in controls(lines):
+        assert row.low < 0.25 < row.high, row
+    for x in lines:  # now the designs give the truth away
+        x["designs"] = [[100.0 * (1 + names.index(x["truth"][0])), 0.2]] * 3
+    assert all(guess_from_designs(lines))
+
+
+def test_that_a_run_stopped_early_has_as_many_of_each_kind_and_pairs_are_of_one_size() -> None:
+    wanted = list(tasks(("none", "pair"), ("3x10", "3x100"), "polytropic", 2, seed=7))
+    assert [t.key for t in wanted[:3]] == [f"{name}/polytropic/exact/7" for name in ("none/3x10", "none/3x100", "pair/5x100")]
+    assert len({t.key for t in wanted}) == 6
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Task("some", 3, 10, "polytropic", 0), "expected a kind"),
+        (lambda: Task("none", 0, 10, "polytropic", 0), "at least 1"),
+        (lambda: list(tasks(("none",), ("3by10",), "polytropic", 1)), "write designs x repeats"),
+    ],
+)
+def test_that_a_bad_request_says_what_was_expected(call, message: str) -> None:
+    with pytest.raises(InputDataError, match=message):
+        call()
