@@ -138,6 +138,21 @@ def both_right(line: Line) -> bool:
     return families(line["truth"]) - families(line["selected"]) <= last
 
 
+Wanted = Mapping[str, tuple[Range | None, Range | None]]
+"""Size -> must and stretch; which sizes have a row."""
+
+
+def _at_least(**sizes: tuple[float, float]) -> Wanted:
+    return {size.strip("_"): (Range(low=must), Range(low=stretch)) for size, (must, stretch) in sizes.items()}
+
+
+def _at_most(**sizes: tuple[float, float]) -> Wanted:
+    return {size.strip("_"): (Range(high=must), Range(high=stretch)) for size, (must, stretch) in sizes.items()}
+
+
+_EACH: Wanted = dict.fromkeys(("3x10", "10x10", "3x100"), (None, None))
+
+
 def posterior(line: Line, *, given_library: bool) -> list[tuple[frozenset[str], float]]:
     """Classes (or classes that act together) and their probabilities, largest first.
 
@@ -212,20 +227,6 @@ def _closed_right(line: Line) -> bool:
     name = line["baselines"]["closed_set"]
     return name is not None and families((name,)) == families(line["truth"])
 
-
-Wanted = Mapping[str, tuple[Range | None, Range | None]]
-"""Size -> must and stretch; which sizes have a row."""
-
-
-def _at_least(**sizes: tuple[float, float]) -> Wanted:
-    return {size.strip("_"): (Range(low=must), Range(low=stretch)) for size, (must, stretch) in sizes.items()}
-
-
-def _at_most(**sizes: tuple[float, float]) -> Wanted:
-    return {size.strip("_"): (Range(high=must), Range(high=stretch)) for size, (must, stretch) in sizes.items()}
-
-
-_EACH: Wanted = dict.fromkeys(("3x10", "10x10", "3x100"), (None, None))
 
 SHARES: tuple[tuple[str, Test, Test, Wanted], ...] = (
     ("false alarm, no gap", _kind("none"), detected, _at_most(all=(0.05, 0.05))),
