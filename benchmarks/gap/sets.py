@@ -136,18 +136,17 @@ def make_set(task: Task) -> SyntheticSet:
 
 
 def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
-    simulator = task.simulator(fine=True)
     gel = {name: _log_uniform(bounds, source) for name, bounds in _GEL.items()}
     plan = _plan(draw_designs(task.designs + UNSEEN, source), task)
     drawn = [draw_effect(_one_of(task.candidates, source), source) for _ in range(_DRAWS[task.kind])]
-    by_phase = _signals(gel, drawn, ExperimentBatch(plan.experiments[: task.designs]), simulator, task.repeats)
+    by_phase = _signals(gel, drawn, ExperimentBatch(plan.experiments[: task.designs]), task)
     signals = [row[-1] for row in by_phase]
     chosen = choose(drawn, signals, {"none": 0, "pair": 2}.get(task.kind, 1))
     if chosen is None:
         return None
     values = gel | {name: value for i in chosen for name, value in drawn[i][1].items()}
     shifts = torch.randn(1, len(plan.experiments), 3, generator=source, dtype=torch.float64) * plan.nuisance_sds
-    curves = predict(simulator, PARAMETERS.pack(values)[None], plan, shifts)[0]
+    curves = predict(task.simulator(fine=True), PARAMETERS.pack(values)[None], plan, shifts)[0]
     if not bool(torch.isfinite(curves).all()):
         return None
     filmed = tuple(
@@ -211,15 +210,14 @@ def _signals(
     gel: dict[str, float],
     drawn: list[tuple[Effect, dict[str, float]]],
     plan: ExperimentBatch,
-    simulator: PolytropicSimulator | TransportSimulator,
-    repeats: int,
+    task: Task,
 ) -> list[list[float]]:
     """Length in sd of what each effect changes beside G and mu up to the end of each phase; NaN where it has no curve."""
     if not drawn:
         return []
     nudged = [gel, *(gel | {name: 1.01 * gel[name]} for name in gel), *(gel | values for _, values in drawn)]
-    curves = predict(simulator, torch.stack([PARAMETERS.pack(values) for values in nudged]), plan)
-    rows = plan.whiten(curves[1:] - curves[0], plan.sd(curves[0])) * math.sqrt(repeats)
+    curves = predict(task.simulator(), torch.stack([PARAMETERS.pack(values) for values in nudged]), plan)
+    rows = plan.whiten(curves[1:] - curves[0], plan.sd(curves[0])) * math.sqrt(task.repeats)
     clock = phase_clock(plan.times, curves[0].nan_to_num(), plan.mask)
     phase = torch.tensor([[PHASES.index(phase_name(c)) for c in row] for row in clock.tolist()])
     lengths = []
