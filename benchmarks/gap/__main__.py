@@ -25,6 +25,7 @@ from benchmarks.gap.run import Extras, frozen, run_task, thresholds
 from benchmarks.gap.sets import KINDS, PHYSICS, Task
 from benchmarks.gap.table import amounts, controls, read_lines, shares, table
 from imr_torch.errors import InputDataError
+from imr_torch.gap import library
 from imr_torch.simulate import process_pool
 
 _PAIRS = "5x100"
@@ -40,7 +41,12 @@ def tasks(
     nuisances: bool = False,
     effects: Sequence[str] = (),
 ) -> Iterator[Task]:
-    """Sets in an order in which a run that is stopped has as many of each kind and size."""
+    """Sets in an order in which a run that is stopped has as many of each kind and size.
+
+    Raises:
+        InputDataError: for an unknown kind, physics or effect, or a size that is none.
+    """
+    library(effects or None)
     for number in range(seed, seed + sets):
         for kind in kinds:
             for size in (_PAIRS,) if kind == "pair" else sizes:

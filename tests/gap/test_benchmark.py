@@ -30,8 +30,8 @@ from imr_torch.gap import LIBRARY
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import generator
 
-SMALL = ("wall", "rinf_bias", "gas_loss")
-OPTIONS = ["--sizes", "2x10", "--sets", "1"]
+SMALL = ("wall", "rinf_bias")
+OPTIONS = ["--sizes", "2x10", "--sets", "1", "--effects", ",".join(SMALL)]
 
 
 def line(kind: str = "effect", **changes) -> dict:
@@ -109,11 +109,10 @@ def test_that_detectable_effects_become_the_truth_first_and_one_of_each_family()
 def made(tmp_path_factory) -> list[dict]:
     """Lines of a set with an effect, one without and one with a withheld effect, from the command in two runs."""
     path = tmp_path_factory.mktemp("run") / "lines.jsonl"
-    main(["run", str(path), *OPTIONS, "--kinds", "effect", "--effects", ",".join(SMALL), "--onset", "--shrinkage"])
+    main(["run", str(path), *OPTIONS, "--kinds", "effect", "--onset", "--shrinkage"])
     before = path.read_text()
     path.write_text(before + '{"key": "torn')
-    rest = ["--kinds", "effect,none,withheld", "--effects", ",".join(SMALL[:2]), "--no-baselines"]
-    main(["run", str(path), *OPTIONS, *rest])
+    main(["run", str(path), *OPTIONS, "--kinds", "effect,none,withheld", "--no-baselines"])
     assert path.read_text().startswith(before)  # a set that has a line is not run again
     return read_lines(path)
 
@@ -263,6 +262,7 @@ def test_that_a_run_stopped_early_has_as_many_of_each_kind_and_pairs_are_of_one_
         (lambda: Task("some", 3, 10, "polytropic", 0), "expected a kind"),
         (lambda: Task("none", 0, 10, "polytropic", 0), "at least 1"),
         (lambda: list(tasks(("none",), ("3by10",), "polytropic", 1)), "write designs x repeats"),
+        (lambda: list(tasks(("none",), ("3x10",), "polytropic", 1, effects=("ghosts",))), "Unknown effect 'ghosts'"),
     ],
 )
 def test_that_a_bad_request_says_what_was_expected(call, message: str) -> None:
