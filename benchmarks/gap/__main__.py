@@ -63,10 +63,18 @@ def _size(text: str) -> tuple[int, int]:
 
 def append(path: Path, line: dict[str, Any]) -> None:
     """Write a line to the end of a run; numbers that are not finite become null."""
-    clean = {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in line.items()}
     torn = path.exists() and not path.read_bytes().endswith(b"\n") and path.stat().st_size > 0
     with path.open("a") as stream:
-        stream.write(("\n" if torn else "") + json.dumps(clean, allow_nan=False) + "\n")
+        stream.write(("\n" if torn else "") + json.dumps(_finite(line), allow_nan=False) + "\n")
+
+
+def _finite(value: Any) -> Any:
+    """A document with None in place of numbers that are not finite, for which JSON has no word."""
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def run(path: Path, wanted: Iterable[Task], extras: Extras, *, workers: int = 1) -> None:

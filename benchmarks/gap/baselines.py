@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from botorch.exceptions import InputDataWarning
+from botorch.exceptions import InputDataWarning, ModelFittingError
 from botorch.fit import fit_gpytorch_mll
 from botorch.models import SingleTaskGP
 from botorch.models.transforms import Normalize, Standardize
@@ -115,6 +115,9 @@ def _predicted(X: Tensor, Y: Tensor, Yvar: Tensor, where: Tensor) -> Tensor:
         model = SingleTaskGP(
             X, Y[:, None], Yvar[:, None], outcome_transform=Standardize(1), input_transform=Normalize(X.shape[1])
         )
-        fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model), optimizer_kwargs={"options": {"maxiter": 60}})
+        try:
+            fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model), optimizer_kwargs={"options": {"maxiter": 60}})
+        except ModelFittingError:
+            return torch.zeros(len(where), dtype=where.dtype)
         with torch.no_grad():
             return model.posterior(where).mean[:, 0]

@@ -12,7 +12,7 @@ from typing import Any
 from benchmarks.gap.baselines import baselines
 from benchmarks.gap.sets import SyntheticSet, Task, make_set
 from imr_torch.assimilate import EnsembleOptions
-from imr_torch.errors import ConvergenceWarning, ImrError
+from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap import LIBRARY, GapReport, diagnose, to_json
 from imr_torch.gap.attribute import ADEQUATE, adequacy_test
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses
@@ -77,7 +77,7 @@ def run_task(task: Task, extras: Extras | None = None) -> dict[str, Any]:
             line |= summary(report)
             for part in _parts(data, report, simulator, seed, extras):
                 line |= part
-    except ImrError as error:
+    except Exception as error:  # hours of other sets must not be lost with it
         line = {"truth": [], "gap": False, "verdict": "undecided", "cause": [], "converged": False} | line
         line["error"] = f"{type(error).__name__}: {error}"
     return line

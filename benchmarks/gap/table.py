@@ -277,7 +277,7 @@ SHARES: tuple[tuple[str, Test, Test, Wanted], ...] = (
     ),
     (
         "onset phase right",
-        _kind("effect", lambda line: line["phase"] != "none", _has("onset_phase")),
+        _kind("effect", lambda line: line.get("phase", "none") != "none", _has("onset_phase")),
         lambda line: line["onset_phase"] == line["phase"],
         _at_least(_3x100=(0.80, 0.90)),
     ),

@@ -8,7 +8,7 @@ import torch
 from scipy.stats import binomtest
 
 from benchmarks.gap.__main__ import append, main, tasks
-from benchmarks.gap.run import frozen, thresholds
+from benchmarks.gap.run import frozen, run_task, thresholds
 from benchmarks.gap.sets import Task, choose, draw_designs, draw_effect, make_set
 from benchmarks.gap.table import (
     Row,
@@ -139,7 +139,7 @@ def test_that_parts_and_baselines_are_measured_against_the_truth(made) -> None:
 
 def test_that_a_table_of_the_run_has_every_figure(made, tmp_path, capsys) -> None:
     for x in made:
-        append(tmp_path / "lines.jsonl", x | {"seconds": math.nan})
+        append(tmp_path / "lines.jsonl", x | {"seconds": math.nan, "signal": {"wall": math.inf}})
     main(["table", str(tmp_path / "lines.jsonl"), "--json", str(tmp_path / "rows.json")])
     text = capsys.readouterr().out
     assert "3 sets, 0 failed" in text
@@ -154,6 +154,14 @@ def test_that_thresholds_are_those_of_the_library_and_a_change_shows() -> None:
     assert thresholds()["attribute.ADEQUATE"] == "0.01"
     assert "THRESHOLDS OR LIBRARY CHANGED" in table([line(), line(frozen="another")])
     assert "CHANGED" not in table([line(), line()])
+
+
+def test_that_a_set_that_cannot_be_made_leaves_its_reason_and_is_scored_as_undecided() -> None:
+    failed = run_task(Task("effect", 3, 10, "polytropic", 0, effects=("heat_exchange",)))  # does nothing to polytropic gas
+    assert "could be simulated" in failed["error"]
+    rows = shares([failed, line()])
+    assert value_of(rows, "named right, effect in the library").value == pytest.approx(0.5)
+    assert "2 sets, 1 failed" in table([failed, line(frozen=frozen())])
 
 
 @pytest.mark.parametrize(("hits", "count"), [(0, 20), (3, 20), (20, 20), (7, 200)])
