@@ -13,6 +13,7 @@ Against the published method the likelihood is that of all repeats and frames, t
 taken only if it lowers the exact cost; see :mod:`imr_torch.assimilate.fit` for the certificate each fit carries.
 """
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -117,14 +118,14 @@ def assimilate(
     search = _Search(belief, batch, simulator, options, seed, near, starts)
     search.hold_back()
     for iteration in range(options.iterations):
+        if bool(search.finished.all()):
+            break
         search.iterate()
         search.give_up()
         search.settle()
         search.restart()
         if progress:
             progress(f"assimilation: iteration {iteration + 1}, {search.report()}")
-        if bool(search.finished.all()):
-            break
     fits = tuple(search.fit(i) for i in range(len(belief.models)))
     for fit in fits:
         if not fit.certificate.converged:
@@ -182,7 +183,7 @@ class _Search:
         self.chol = 0.5 * torch.eye(self.size, dtype=torch.float64).repeat(chains, 1, 1)
         self.led = torch.zeros(chains, dtype=torch.bool)  # whether a chain keeps its leader
         self.leader_gel, self.leader_nuisances = self.gel.clone(), self.nuisances.clone()
-        self.finished = torch.zeros(chains, dtype=torch.bool)
+        self.finished = ~torch.isfinite(self.cost)  # a start that cannot be simulated does not set out
         self.restarted = [False] * len(belief.models)
         self.source = source
         self.gradient = torch.full((chains,), torch.inf, dtype=torch.float64)
@@ -447,11 +448,15 @@ class _Search:
         """The best start of a model, with its certificate."""
         rows = torch.nonzero(self.model == model)[:, 0]
         costs = self.cost[rows].sort().values
-        agreement = float(costs[1] - costs[0])
+        agreement = float(costs[1] - costs[0]) if bool(torch.isfinite(costs[0])) else math.inf
         same = rows[self.cost[rows] <= costs[0] + self.options.agreement]  # of equals, the one that converged furthest
         best, part = int(same[self.gradient[same].argmin()]), self.belief.models[model]
-        equations = self.equations[best]
-        assert equations is not None
+        equations, free = self.equations[best], len(part.names)
+        if equations is None:  # no start could be simulated
+            response, nuisance_hessian = self.sds.new_zeros(*self.sds.shape, free), torch.eye(3, dtype=torch.float64)
+            nuisance_hessian = nuisance_hessian.expand(len(self.sds), 3, 3)
+        else:
+            response, nuisance_hessian = equations.reduced.nuisance_response[..., :free], equations.nuisance_hessian
         gradient = float(self.gradient[best])
         certificate = Certificate(
             gradient,
@@ -460,7 +465,6 @@ class _Search:
             self.failures / max(self.members, 1),
             gradient < self.options.gradient and agreement < self.options.agreement,
         )
-        free = len(part.names)
         one = torch.tensor([best])
         prediction = self._predict_led(one, self.gel[one, None], self.nuisances[one, None])[0]
         return ModelFit(
@@ -468,8 +472,8 @@ class _Search:
             mean=self.gel[best, :free],
             chol=self.chol[best, :free, :free],
             nuisances=self.nuisances[best],
-            nuisance_response=equations.reduced.nuisance_response[..., :free],
-            nuisance_chol=torch.linalg.cholesky(equations.nuisance_hessian),
+            nuisance_response=response,
+            nuisance_chol=torch.linalg.cholesky(nuisance_hessian),
             cost=float(self.cost[best]),
             prediction=prediction[0],
             certificate=certificate,

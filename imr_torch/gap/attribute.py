@@ -3,8 +3,8 @@
 All effects are fitted in one batch, from two starts each; one that the best has left behind rests as soon as what it may
 still reach lags. (Scores at the null fit rank small effects well and large ones badly, so they only choose from where to
 start.) The evidence is that of the Gaussian approximation. A closed library always names somebody, so the winner must also
-be adequate: the gap test at its own fit gives ``p_ad``, and "other" is weighed by the bound of Sellke, Bayarri & Berger (Am.
-Stat. 55, 2001) on what an unknown alternative could gain, ``1/(-e p ln p)``.
+be adequate: the gap test at its own fit gives ``p_ad``, and "other" is weighed by how often an unknown effect hides behind a
+known one, and by the bound of Sellke, Bayarri & Berger (Am. Stat. 55, 2001) on what it could gain, ``1/(-e p ln p)``.
 """
 
 import math
@@ -28,6 +28,7 @@ PRIOR_NONE, PRIOR_OTHER = 0.5, 0.1
 ADEQUATE = 0.01
 """Below this ``p_ad`` the winner leaves a gap, and the verdict is a further effect or "other"."""
 
+_MASKED = 0.35  # chance that some effect of the library is adequate although the true one is not in it
 _FIT = EnsembleOptions(starts=2, iterations=30, hopeless=6.0)
 
 
@@ -139,7 +140,7 @@ def _weigh(
     top = max(weights.values())
     known = sum(math.exp(w - top) for w in weights.values())
     bound = -math.e * p_adequate * math.log(p_adequate) if p_adequate < 1.0 / math.e else 1.0
-    other = known * PRIOR_OTHER / (1.0 - PRIOR_OTHER) / max(bound, 1e-12)
+    other = known * PRIOR_OTHER / (1.0 - PRIOR_OTHER) * _MASKED / max(bound, 1e-12)
     posterior = {name: math.exp(w - top) / (known + other) for name, w in weights.items()} | {"other": other / (known + other)}
     classes: dict[str, float] = {}
     for name, probability in posterior.items():

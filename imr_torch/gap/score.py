@@ -27,7 +27,7 @@ LEVEL = 0.04
 _RANK = 1e-3  # singular values below this part of the largest add no direction
 _BOOTSTRAP = 2000
 _PULSES = 8
-_STARTS = ((0.01, 0.4), (0.5, 1.5))  # amplitudes, over those of an effect's starts
+_STARTS = ((0.05, 0.4), (0.5, 1.5))  # amplitudes, over those of an effect's starts
 _LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones to be tested
 
 

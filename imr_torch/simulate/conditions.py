@@ -62,11 +62,11 @@ class Stepping:
     Args:
         step: step of the stretched time. Errors fall with its fourth power.
         max_steps: steps after which a member that has not reached its last time is given up.
-        retries: how often a member that failed is tried again with half the step.
+        retries: how often a member that failed for another reason is tried again with half the step.
     """
 
     step: float = 0.15
-    max_steps: int = 20000
+    max_steps: int = 4000
     retries: int = 3
 
     def __post_init__(self) -> None:

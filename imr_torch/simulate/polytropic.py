@@ -59,7 +59,8 @@ class PolytropicSimulator:
         stepping = self.stepping
         results = _march(bubbles, times, stepping)
         for _ in range(stepping.retries):
-            failed = torch.nonzero(_leaders(results[3], width) != Status.DONE)[:, 0]
+            status = _leaders(results[3], width)
+            failed = torch.nonzero((status != Status.DONE) & (status != Status.TOO_MANY_STEPS))[:, 0]
             if failed.numel() == 0:
                 break
             stepping = replace(stepping, step=0.5 * stepping.step)
