@@ -38,6 +38,7 @@ from imr_torch.simulate import (
 REST = (0.2, 0.08)
 SEED = 0
 SIMULATORS = {"full": TransportSimulator, "polytropic": PolytropicSimulator}
+_HOPELESS = 50.0  # nats by which a model must be behind to be left there
 _LARGE_RMSE, _LARGE_NOISE, _FAR, _ODD = 0.03, 2.0, 2.5, 2.0
 _ONE_GEL = 0.2  # relative scatter of the first collapse times above which curves are unlikely to be of one gel
 
@@ -273,7 +274,7 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     path = args.out / f"rows-{args.physics}-{args.curves}{'-scores' if args.scores else ''}.jsonl"
     rows = {row["set"]: row for row in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
-    options = EnsembleOptions(starts=args.starts, scouts=args.scouts)
+    options = EnsembleOptions(starts=args.starts, scouts=args.scouts, hopeless=_HOPELESS)
     tasks = [Task(f, args.curves, args.scores, args.out, options) for f in files if f.stem not in rows]
     with path.open("a") as stream:
         for _, row in simulate_together(tasks, SIMULATORS[args.physics](), at_once=args.at_once):

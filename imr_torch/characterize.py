@@ -191,7 +191,7 @@ def characterize(
     for number in range(1, rounds + 1):
         batch = ExperimentBatch(experiments, _noise_of(result))
         result = _fit(prior, batch, simulator, options, child(seed, "round", number), result, progress)
-    result = weigh(result, simulator, seed=child(seed, "weigh"))
+    result = weigh(result, simulator, seed=child(seed, "weigh"), hopeless=options.hopeless if options else None)
     evidence = evidences(result)
     posterior = update(result, evidence)
     return Characterization(experiments, landmarks, result, evidence, posterior, time.process_time() - started)

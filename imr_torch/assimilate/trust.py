@@ -62,7 +62,15 @@ class _Round:
         return -0.5 * self.controls.square().sum(1) - 0.5 * self.controls.shape[1] * math.log(2.0 * math.pi)
 
 
-def weigh(assimilation: Assimilation, simulator: Simulator, *, seed: int, samples: int = 256, rounds: int = 4) -> Assimilation:
+def weigh(
+    assimilation: Assimilation,
+    simulator: Simulator,
+    *,
+    seed: int,
+    samples: int = 256,
+    rounds: int = 4,
+    hopeless: float | None = None,
+) -> Assimilation:
     """Weigh draws about every fit by the exact posterior.
 
     Args:
@@ -73,6 +81,7 @@ def weigh(assimilation: Assimilation, simulator: Simulator, *, seed: int, sample
             uncertain); every later round has twice as many as the one before, so that chance alone cannot go on refusing.
         rounds: most rounds; a model stops when the weights are reliable and their moments those that the proposal was
             made for, which after the first round are those of the fit's Gaussian.
+        hopeless: a model whose optimum is worse than that of the best one by more than this, nats, gets one round only.
 
     Returns:
         The assimilation with a ``sample`` in each fit, from which evidence, moments and verdict are taken.
@@ -88,6 +97,7 @@ def weigh(assimilation: Assimilation, simulator: Simulator, *, seed: int, sample
     parts: dict[str, list[_Round]] = {fit.model: [] for fit in fits}
     found = {fit.model: fit for fit in fits}
     waiting = list(fits)
+    worst = math.inf if hopeless is None else min(fit.cost for fit in fits) + hopeless
     for number in range(rounds):
         count = samples * 2 ** max(0, number - 1)
         again = simulator if number else None
@@ -95,7 +105,7 @@ def weigh(assimilation: Assimilation, simulator: Simulator, *, seed: int, sample
         for fit, part in zip(waiting, _simulate(waiting, draws, batch, simulator), strict=True):
             parts[fit.model].append(part)
             found[fit.model] = _judge(found[fit.model], proposals[fit.model][-1], part)
-        waiting = [fit for fit in waiting if found[fit.model].verdict is Verdict.REFUSED]
+        waiting = [fit for fit in waiting if found[fit.model].verdict is Verdict.REFUSED and fit.cost <= worst]
         if not waiting:
             break
         for fit in waiting:

@@ -181,3 +181,18 @@ def test_that_a_draw_whose_clock_is_impossible_weighs_nothing_and_does_not_end_t
     fit = weigh(wild, Strict(), seed=0, samples=256, rounds=1).fits[0]
     assert fit.verdict is Verdict.REFUSED
     assert 0.0 < fit.sample.effective_samples < 100.0
+
+
+def test_that_later_rounds_draw_more_and_hopeless_models_get_one() -> None:
+    batch = experiments(3)
+    both = assimilate(prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=OPTIONS)
+    gap = max(fit.cost for fit in both.fits) - min(fit.cost for fit in both.fits)
+    poor = replace(both, fits=tuple(replace(fit, chol=0.02 * fit.chol) for fit in both.fits))
+    best = min(poor.fits, key=lambda fit: fit.cost).model
+    for hopeless, expected in ((gap + 1.0, 2), (0.5 * gap, 1)):
+        weighed = weigh(poor, LinearSimulator(), seed=0, samples=32, hopeless=hopeless)
+        behind = next(fit for fit in weighed.fits if fit.model != best)
+        assert min(behind.sample.rounds, 2) == expected
+        assert weighed[best].sample.rounds > 1
+        for fit in weighed.fits:
+            assert len(fit.sample) == 32 * 2 ** max(0, fit.sample.rounds - 2)
