@@ -34,6 +34,7 @@ _BOOTSTRAP = 2000
 _APART = 0.03  # prior standard deviations between the starts of a training fit: many posterior ones, and inside one valley
 _STEPS = 2  # Gauss-Newton steps for the nuisances of a held-out design
 _ADEQUATE = 0.01
+_WIDEST = 2.0  # size of S beyond which the base leaves next to nothing to shrink
 _OPTIONS = EnsembleOptions(starts=3, iterations=25, gradient=5e-3)
 _NONE = "none"
 
@@ -348,13 +349,21 @@ def _bootstrap(
             for d, e in zip(designs, noise, strict=True)
         ]
         drawn[name] = torch.stack(rows).sum(0) / count - expected
-    levels = torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64)
-    intervals = {}
-    for name in held:
-        if name != _NONE:
-            low, median, high = (1.0 - drawn[name] / drawn[_NONE].clamp_min(1e-12)).quantile(levels).tolist()
-            intervals[name] = (low, median, high)
+    intervals = {name: _ratio_interval(drawn[name], drawn[_NONE]) for name in held if name != _NONE}
     return gaps, intervals
+
+
+def _ratio_interval(left: Tensor, base: Tensor) -> tuple[float, float, float]:
+    """Lower, median and upper ``S = 1 - left/base`` of draws; one in which the base leaves no gap says nothing of it.
+
+    Such a draw counts as -1 for the lower value and as 1 for the upper; none counts as more than 2 in size.
+    """
+    known = base > 0.0
+    ratio = torch.where(known, 1.0 - left / base.clamp_min(1e-300), torch.nan).clamp(-_WIDEST, _WIDEST)
+    low = ratio.nan_to_num(nan=-1.0).quantile(0.05)
+    high = ratio.nan_to_num(nan=1.0).quantile(0.95)
+    median = ratio[known].median() if bool(known.any()) else torch.zeros(())
+    return float(low), float(median), float(high)
 
 
 def _less_nuisances(design: HeldOut, rows: Tensor) -> Tensor:
