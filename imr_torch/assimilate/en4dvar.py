@@ -126,7 +126,7 @@ def assimilate(
         search.restart()
         if progress:
             progress(f"assimilation: iteration {iteration + 1}, {search.report()}")
-    fits = tuple(search.fit(i) for i in range(len(belief.models)))
+    fits = search.fits()
     for fit in fits:
         if not fit.certificate.converged:
             warnings.warn(f"{fit.model}: {fit.certificate}", ConvergenceWarning, stacklevel=2)
@@ -444,13 +444,23 @@ class _Search:
             words.append(f"{key} cost {float(self.cost[best]):.2f} gradient {float(self.gradient[best]):.1e}")
         return ", ".join(words)
 
-    def fit(self, model: int) -> ModelFit:
-        """The best start of a model, with its certificate."""
+    def fits(self) -> tuple[ModelFit, ...]:
+        """The best start of each model, with its certificate."""
+        best = torch.tensor([self._best(i) for i in range(len(self.belief.models))])
+        predictions = self._predict_led(best, self.gel[best, None], self.nuisances[best, None])[:, 0]
+        return tuple(self._fit(chain, prediction) for chain, prediction in zip(best.tolist(), predictions, strict=True))
+
+    def _best(self, model: int) -> int:
+        """The start of a model with the lowest cost; of equals, the one that converged furthest."""
         rows = torch.nonzero(self.model == model)[:, 0]
-        costs = self.cost[rows].sort().values
+        same = rows[self.cost[rows] <= self.cost[rows].min() + self.options.agreement]
+        return int(same[self.gradient[same].argmin()])
+
+    def _fit(self, best: int, prediction: Tensor) -> ModelFit:
+        """A start as the fit of its model."""
+        part = self.belief.models[int(self.model[best])]
+        costs = self.cost[self.model == self.model[best]].sort().values
         agreement = float(costs[1] - costs[0]) if bool(torch.isfinite(costs[0])) else math.inf
-        same = rows[self.cost[rows] <= costs[0] + self.options.agreement]  # of equals, the one that converged furthest
-        best, part = int(same[self.gradient[same].argmin()]), self.belief.models[model]
         equations, free = self.equations[best], len(part.names)
         if equations is None:  # no start could be simulated
             response, nuisance_hessian = self.sds.new_zeros(*self.sds.shape, free), torch.eye(3, dtype=torch.float64)
@@ -465,8 +475,6 @@ class _Search:
             self.failures / max(self.members, 1),
             gradient < self.options.gradient and agreement < self.options.agreement,
         )
-        one = torch.tensor([best])
-        prediction = self._predict_led(one, self.gel[one, None], self.nuisances[one, None])[0]
         return ModelFit(
             prior=part,
             mean=self.gel[best, :free],
@@ -475,7 +483,7 @@ class _Search:
             nuisance_response=response,
             nuisance_chol=torch.linalg.cholesky(nuisance_hessian),
             cost=float(self.cost[best]),
-            prediction=prediction[0],
+            prediction=prediction,
             certificate=certificate,
         )
 

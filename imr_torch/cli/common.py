@@ -54,16 +54,16 @@ def add_physics_argument(parser: argparse.ArgumentParser, *, default: str = "pol
 
 
 def add_workers_argument(parser: argparse.ArgumentParser) -> None:
-    """The option that spreads large batches over processes; the batches of a fit are too small to gain by it."""
+    """The option that spreads large batches over processes; the batches of one model's fit are too small to gain by it."""
     parser.add_argument("--workers", type=int, default=1, help="processes that share large batches (default 1)")
 
 
-def simulator_of(args: argparse.Namespace) -> Simulator:
-    """The simulator that ``--physics`` names, on as many processes as ``--workers`` says."""
+def simulator_of(args: argparse.Namespace, *, chunk: int = _CHUNK) -> Simulator:
+    """The simulator that ``--physics`` names, on as many processes as ``--workers`` says; ``chunk`` bubbles to one at most."""
     simulator, workers = SIMULATORS[args.physics], getattr(args, "workers", 1)
     if workers < 1:
         raise InputDataError(f"--workers is {workers}; expected at least 1.")
-    return simulator if workers == 1 else ParallelSimulator(simulator, partial(process_pool, workers), chunk=_CHUNK)
+    return simulator if workers == 1 else ParallelSimulator(simulator, partial(process_pool, workers), chunk=chunk)
 
 
 def prior_of(args: argparse.Namespace) -> Belief:

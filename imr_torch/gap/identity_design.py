@@ -9,6 +9,7 @@ nominal value the best design is that of one gel, which need not be this one. It
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -27,7 +28,7 @@ from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.effects import LIBRARY
 from imr_torch.material import Belief
 from imr_torch.random import child
-from imr_torch.simulate import Simulator
+from imr_torch.simulate import Simulator, simulate_together
 from imr_torch.types import Progress
 
 _LEFT = 0.02  # a cause less probable than this is not worth an experiment
@@ -138,27 +139,31 @@ def identity_design(
     parts = tuple(fits[name].posterior for name in causes)
     belief = Belief(parts, torch.tensor(list(causes.values()), dtype=torch.float64).log())
     space = space or DesignSpace()
-    acquisition = IdentityInformation(
-        belief, simulator, plan=plan, space=space, estimator=Estimator(draws=draws), seed=child(seed, "grid")
-    )
-    optimizer = DesignOptimizer(space, seed=child(seed, "surrogate"))
     designs = _grid(space, grid)
-    found = []
-    for number, design in enumerate(designs):
-        gain = acquisition.estimate(design[None])
-        tell_gain(optimizer, design, gain)
-        found.append(gain)
+
+    def evaluate(design: Tensor, label: str, simulator: Simulator) -> InformationGain:
+        estimator = Estimator(draws=draws)
+        information = IdentityInformation(
+            belief, simulator, plan=plan, space=space, estimator=estimator, seed=child(seed, label)
+        )
+        return information.estimate(design[None])
+
+    gains: dict[int, InformationGain] = {}
+    for number, gain in simulate_together([partial(evaluate, design, "grid") for design in designs], simulator):
+        gains[number] = gain
         if progress:
-            progress(
-                f"next design {number + 1}/{len(designs)}: We {design[0]:.0f}, R_inf* {design[1]:.3f}: {gain.value:.3f} nats"
-            )
+            we, rinf_star = designs[number].tolist()
+            progress(f"next design {len(gains)}/{len(designs)}: We {we:.0f}, R_inf* {rinf_star:.3f}: {gain.value:.3f} nats")
+    found = [gains[number] for number in range(len(designs))]
+    optimizer = DesignOptimizer(space, seed=child(seed, "surrogate"))
+    for design, gain in zip(designs, found, strict=True):
+        tell_gain(optimizer, design, gain)
     if len(optimizer.train_X) < 2:
         raise ConvergenceError(
             f"Too many bubbles failed at {len(designs) - len(optimizer.train_X)} of {len(designs)} designs; narrow the space."
         )
     best = optimizer.recommend().design
-    acquisition.seed = child(seed, "best")
-    gain = acquisition.estimate(best[None])
+    gain = evaluate(best, "best", simulator)
     return NextDesign(
         design=best,
         gain=gain.value,

@@ -3,8 +3,9 @@
 Each part is optional: a report says of one that was not run that it was not.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from imr_torch.errors import ConvergenceError
 from imr_torch.gap.attribute import Attribution
@@ -20,7 +21,7 @@ from imr_torch.gap.shrinkage import Shrinkage, shrinkage, shrinkage_unseen
 from imr_torch.gap.windows import MovingWindows, moving_windows
 from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.random import child
-from imr_torch.simulate import Simulator
+from imr_torch.simulate import Simulator, simulate_together
 from imr_torch.types import Progress
 
 
@@ -65,22 +66,22 @@ def examine(
     """
     if not (report.gap.found and report.null.certificate.converged):
         return Parts()
-    tell = progress or (lambda text: None)
     fit, batch = report.null, report.batch
     line = linearise(fit, batch, simulator)
     offered = [LIBRARY[block.name] for block in report.gap.blocks if block.name in LIBRARY]
     directions = effect_directions(offered, fit, batch, simulator, line)
-    tell("location: onset")
-    when = onset(fit, line, batch, simulator, seed=child(seed, "onset"), directions=directions)
-    tell("location: experiments, latent pressure, moving windows")
-    return Parts(
-        when,
-        by_experiment(fit, line, batch, simulator, seed=child(seed, "experiments"), directions=directions),
-        latent_pressure(fit, line, batch, simulator),
-        moving_windows(fit, line, batch, simulator),
-        _shrunk(report, simulator, unseen, seed, progress),
-        _next(report, simulator, seed, progress),
-    )
+    if progress:
+        progress("location, shrinkage, next design")
+    tasks: dict[str, Callable[[Simulator], Any]] = {
+        "onset": lambda s: onset(fit, line, batch, s, seed=child(seed, "onset"), directions=directions),
+        "by_experiment": lambda s: by_experiment(fit, line, batch, s, seed=child(seed, "experiments"), directions=directions),
+        "latent": lambda s: latent_pressure(fit, line, batch, s),
+        "windows": lambda s: moving_windows(fit, line, batch, s),
+        "shrinkage": lambda s: _shrunk(report, s, unseen, seed, progress),
+        "next_design": lambda s: _next(report, s, seed, progress),
+    }
+    names = tuple(tasks)
+    return Parts(**{names[i]: part for i, part in simulate_together(tasks.values(), simulator)})
 
 
 def _shrunk(

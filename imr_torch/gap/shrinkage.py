@@ -13,6 +13,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from scipy.stats import chi2
@@ -25,7 +26,7 @@ from imr_torch.gap.linear import linearise
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
-from imr_torch.simulate import Simulator
+from imr_torch.simulate import Simulator, simulate_together
 from imr_torch.types import Progress
 
 _ALONE = 5  # up to as many designs each is held out alone; of more, a quarter at a time
@@ -35,7 +36,7 @@ _APART = 0.03  # prior standard deviations between the starts of a training fit:
 _STEPS = 2  # Gauss-Newton steps for the nuisances of a held-out design
 _ADEQUATE = 0.01
 _WIDEST = 2.0  # size of S beyond which the base leaves next to nothing to shrink
-_OPTIONS = EnsembleOptions(starts=3, iterations=25, gradient=5e-3)
+_OPTIONS = EnsembleOptions(starts=2, iterations=20, gradient=2e-2)  # 2e-2 posterior sds: nothing a prediction would show
 _NONE = "none"
 
 
@@ -262,18 +263,24 @@ def _hold_out(
     fits: Mapping[str, ModelFit], batch: ExperimentBatch, simulator: Simulator, seed: int, progress: Progress | None
 ) -> dict[str, list[HeldOut]]:
     """Held-out predictions of every design by every hypothesis, in the order of the designs."""
-    parts: dict[str, dict[int, HeldOut]] = {name: {} for name in fits}
-    groups = folds(len(batch.experiments))
-    for number, out in enumerate(groups):
-        if progress:
-            progress(
-                f"shrinkage: fits without {', '.join(batch.experiments[i].label for i in out)} ({number + 1}/{len(groups)})"
-            )
-        training = _part(batch, [i for i in range(len(batch.experiments)) if i not in out])
-        for name, fit in _train(fits, training, simulator, child(seed, "fold", number)).items():
-            for i in out:
-                parts[name][i] = held_out(fit, _part(batch, [i]), simulator)
-    return {name: [found[i] for i in sorted(found)] for name, found in parts.items()}
+    count = len(batch.experiments)
+    groups = folds(count)
+
+    def judge(number: int, simulator: Simulator) -> dict[tuple[str, int], HeldOut]:
+        out = groups[number]
+        training = _part(batch, [i for i in range(count) if i not in out])
+        trained = _train(fits, training, simulator, child(seed, "fold", number))
+        return {(name, i): held_out(fit, _part(batch, [i]), simulator) for name, fit in trained.items() for i in out}
+
+    parts: dict[tuple[str, int], HeldOut] = {}
+    tasks = [partial(judge, number) for number in range(len(groups))]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # it is in the result
+        for number, found in simulate_together(tasks, simulator):
+            parts |= found
+            if progress:
+                progress(f"shrinkage: judged on {', '.join(batch.experiments[i].label for i in groups[number])}")
+    return {name: [parts[name, i] for i in range(count)] for name in fits}
 
 
 def _part(batch: ExperimentBatch, chosen: Sequence[int]) -> ExperimentBatch:
@@ -288,9 +295,7 @@ def _train(fits: Mapping[str, ModelFit], batch: ExperimentBatch, simulator: Simu
         others = _APART * torch.randn(_OPTIONS.starts - 1, len(fit.mean), generator=source, dtype=torch.float64)
         starts.append(torch.cat((fit.mean[None], fit.mean + others)))
     belief = Belief(tuple(fit.prior for fit in fits.values()), torch.zeros(len(fits), dtype=torch.float64))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # it is in the result
-        found = assimilate(belief, batch, simulator, seed=seed, options=_OPTIONS, starts=starts)
+    found = assimilate(belief, batch, simulator, seed=seed, options=_OPTIONS, starts=starts)
     return dict(zip(fits, found.fits, strict=True))
 
 

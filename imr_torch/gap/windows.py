@@ -8,6 +8,7 @@ others and a baseline, not a verdict.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from scipy.stats import chi2
@@ -19,7 +20,7 @@ from imr_torch.gap.linear import Linearisation
 from imr_torch.gap.locate import frames_between
 from imr_torch.gap.restrict import moved, refit, restrict
 from imr_torch.observe import ExperimentBatch
-from imr_torch.simulate import Simulator
+from imr_torch.simulate import Simulator, simulate_together
 
 _STEPS = 2
 _LONGEST = 2.0  # prior standard deviations that a window may move at once
@@ -79,21 +80,17 @@ def moving_windows(
             f"Expected 2 windows or more, 1 step or more and 0 < width < {end:g}; got {windows}, {steps} and {width}."
         )
     starts = torch.linspace(0.0, end - width, windows, dtype=torch.float64)
-    centres, maps = [], []
-    for start in starts.tolist():
-        frames = frames_between(batch, start, start + width + 1e-9)
-        centre, to_shift = _window(fit, line, frames, batch, simulator, steps)
-        centres.append(centre)
-        maps.append(to_shift)
-    controls = torch.stack(centres)
-    sd = torch.stack([m.norm(dim=1) for m in maps])
+    frames = [frames_between(batch, start, start + width + 1e-9) for start in starts.tolist()]
+    found = dict(simulate_together([partial(_window, fit, line, batch, steps, f) for f in frames], simulator))
+    controls, maps = (torch.stack(parts) for parts in zip(*(found[i] for i in range(windows)), strict=True))
+    sd = maps.norm(dim=2)
     values, low, high = (_physical(fit, controls + step * sd) for step in (0.0, -1.0, 1.0))
-    drift, p_constant = _constancy(starts, controls, torch.stack(maps))
+    drift, p_constant = _constancy(starts, controls, maps)
     return MovingWindows(starts + 0.5 * width, fit.prior.names, values, low, high, drift, p_constant)
 
 
 def _window(
-    fit: ModelFit, line: Linearisation, frames: Tensor, batch: ExperimentBatch, simulator: Simulator, steps: int
+    fit: ModelFit, line: Linearisation, batch: ExperimentBatch, steps: int, frames: Tensor, simulator: Simulator
 ) -> tuple[Tensor, Tensor]:
     """Controls of one window (``d``) and the ``d x N`` matrix that makes them from noise."""
     size, total, here = len(fit.mean), torch.zeros(line.fitted.shape[1], dtype=torch.float64), line

@@ -6,6 +6,7 @@ processes, of threads, of ``dask.distributed`` (``client.get_executor()``) and o
 and results travel as NumPy arrays; workers compute on the CPU.
 """
 
+import math
 import os
 import socket
 import warnings
@@ -117,13 +118,19 @@ class ParallelSimulator:
     def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor, width: int | None = None) -> tuple[Tensor, ...]:
         """All members, flat: radius, velocity, pressure, status, steps; ``width`` is that of a bundle, if they are any."""
         arrays = [x.detach().cpu().numpy() for x in (parameters, designs, times)]
-        size = self.chunk if width is None else max(1, self.chunk // width) * width
+        unit = width or 1
+        size = _even(len(parameters) // unit, max(1, self.chunk // unit)) * unit
         cuts = [tuple(x[i : i + size] for x in arrays) for i in range(0, len(parameters), size)]
         tasks = [_Task(self.simulator, cut, width, _here()) for cut in cuts]
         results = _Errand(tasks, self._pool, self.retries, self.progress).run()
         parts = [result or _lost(cut[2]) for result, cut in zip(results, cuts, strict=True)]
         fields = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
         return tuple(torch.from_numpy(column).to(parameters.device) for column in fields)
+
+
+def _even(count: int, most: int) -> int:
+    """Size of the parts that ``count`` is cut into, as equal as can be and none larger than ``most``."""
+    return math.ceil(count / max(1, math.ceil(count / most))) if count else most
 
 
 def _here() -> tuple[str, int]:
