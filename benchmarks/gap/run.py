@@ -16,9 +16,7 @@ from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap import LIBRARY, GapReport, diagnose, to_json
 from imr_torch.gap.attribute import ADEQUATE, adequacy_test
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses
-from imr_torch.gap.linear import Linearisation, linearise
 from imr_torch.gap.locate import onset
-from imr_torch.gap.score import effect_directions
 from imr_torch.gap.shrinkage import held_out, shrinkage_unseen
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
@@ -106,23 +104,20 @@ def _parts(
     data: SyntheticSet, report: GapReport, simulator: PolytropicSimulator | TransportSimulator, seed: int, extras: Extras
 ) -> Iterator[dict[str, Any]]:
     """The parts asked for, as far as the report allows them."""
-    line = linearise(report.null, report.batch, simulator)
     if extras.baselines:
-        yield {"baselines": baselines(report, line, data.offered, simulator, seed=child(seed, "baselines"))}
+        yield {"baselines": baselines(report, report.line, data.offered, simulator, seed=child(seed, "baselines"))}
     if not (report.gap.found and report.null.certificate.converged):
         return
     if extras.onset and data.truth:
-        yield _onset(data, report, line, simulator, seed)
+        yield _onset(report, simulator, seed)
     if extras.shrinkage and len(data.truth) == 1 and report.attribution is not None:
         yield _shrinkage(data, report, simulator, seed)
 
 
-def _onset(
-    data: SyntheticSet, report: GapReport, line: Linearisation, simulator: PolytropicSimulator | TransportSimulator, seed: int
-) -> dict[str, Any]:
+def _onset(report: GapReport, simulator: PolytropicSimulator | TransportSimulator, seed: int) -> dict[str, Any]:
     """When the gap begins; the truth is the set's own phase."""
-    directions = effect_directions(data.offered, report.null, report.batch, simulator, line)
-    when = onset(report.null, line, report.batch, simulator, seed=child(seed, "onset"), directions=directions)
+    own = child(seed, "onset")
+    when = onset(report.null, report.line, report.batch, simulator, seed=own, directions=report.directions)
     return {"onset_phase": when.phase, "onset_t": when.time}
 
 
@@ -157,7 +152,7 @@ def _shrinkage(
         "rival": rival,
     }
     if rival:
-        adequacy, _ = adequacy_test(fits[rival], data.offered, report.batch, simulator, seed=child(seed, "rival"))
+        adequacy = adequacy_test(fits[rival], data.offered, report.batch, simulator, seed=child(seed, "rival")).test
         lost = any(c.against == rival and c.won for c in judged.comparisons)
         line |= {"rival_adequacy_p": adequacy.p_value, "rival_lost": lost, "rival_exposed": adequacy.p_value < ADEQUATE or lost}
     return line

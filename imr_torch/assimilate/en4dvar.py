@@ -37,6 +37,7 @@ _SIDE = 1e-4  # prior standard deviations by which nuisances are moved for their
 _NEAR = 1.0  # posterior standard deviations from a minimum at which a chain keeps its leader
 _RESTART = 0.25  # prior standard deviations
 _AWAY = 10.0  # posterior standard deviations
+_AHEAD = 300  # bubbles for whose sake it pays to take the neighbourhoods of all trial steps along, and save a call
 _RESERVE = 10.0  # times ``hopeless`` by which a model may lag and still have its other starts sent out
 
 
@@ -190,6 +191,7 @@ class _Search:
         self.iterations = torch.zeros(chains, dtype=torch.long)
         self.members = self.failures = 0
         self.equations: list[NormalEquations | None] = [None] * chains
+        self.around: dict[int, tuple[Tensor, Tensor]] = {}  # chain -> anomalies and predictions about where it stands
 
     def _scout(self, source: torch.Generator) -> None:
         """Start each model from the best of many prior draws that are not neighbours of each other."""
@@ -300,23 +302,43 @@ class _Search:
 
     def _linearise(self, chains: Tensor) -> NormalEquations:
         """Costs, ensemble sensitivities and gradients at the current points, each in the bundle of its leader."""
-        gel, nuisances, led = self.gel[chains], self.nuisances[chains], self.led[chains]
+        unknown = torch.tensor([chain for chain in chains.tolist() if chain not in self.around], dtype=torch.long)
+        if unknown.numel():
+            made = self._neighbourhoods(unknown, self.gel[unknown, None], self.nuisances[unknown, None])
+            self._keep(unknown, made[:, 0])
+        kept = [self.around[chain] for chain in chains.tolist()]
+        anomalies, prediction = (torch.stack(parts) for parts in zip(*kept, strict=True))
+        gel, nuisances = self.gel[chains], self.nuisances[chains]
+        self.cost[chains] = self._cost(gel, nuisances, prediction[:, 0])
+        return self._equations(gel, nuisances, anomalies, prediction)
+
+    def _keep(self, chains: Tensor, predictions: Tensor) -> None:
+        """Keep what is known about where chains stand now; predictions as in :meth:`_neighbourhoods`, one point a chain."""
         anomalies = self.anomalies @ self.chol[chains].mT
+        self.around |= dict(zip(chains.tolist(), zip(anomalies, predictions, strict=True), strict=True))
+
+    def _forget(self, chains: Tensor) -> None:
+        """Forget what was known about where chains stood, or under which leader."""
+        for chain in chains.tolist():
+            self.around.pop(chain, None)
+
+    def _neighbourhoods(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
+        """Predictions ``C x P x (1 + N + S) x E x T`` about ``P`` points of each chain: there, members, moved nuisances."""
+        anomalies, led = (self.anomalies @ self.chol[chains].mT)[:, None], self.led[chains, None]
         sides = torch.zeros(len(self.columns), 1, 3, dtype=torch.float64)
         for i, column in enumerate(self.columns.tolist()):
             sides[i, 0, column] = _SIDE
-        leader = torch.where(led[:, None], self.leader_gel[chains], gel)[:, None]
-        controls = (leader, gel[:, None], gel[:, None] + anomalies, gel[:, None].expand(-1, len(sides), -1))
-        leader = torch.where(led[:, None, None], self.leader_nuisances[chains], nuisances)[:, None]
-        own = nuisances[:, None]
-        shifted = (leader, own, own.expand(-1, anomalies.shape[1], -1, -1), own + sides)
+        centre, own = gel[:, :, None], nuisances[:, :, None]
+        leader = torch.where(led[..., None], self.leader_gel[chains, None], gel)[:, :, None]
+        controls = (leader, centre, centre + anomalies, centre.expand(-1, -1, len(sides), -1))
+        leader = torch.where(led[..., None, None], self.leader_nuisances[chains, None], nuisances)[:, :, None]
+        shifted = (leader, own, own.expand(-1, -1, anomalies.shape[2], -1, -1), own + sides)
         alone = not bool(led.any())  # then each centre leads itself
-        bundle = (torch.cat(parts[alone:], 1) for parts in (controls, shifted))
-        prediction = self._predict(self.model[chains], *bundle, bundled=True)[:, not alone :]
+        bundle = (torch.cat(parts[alone:], 2) for parts in (controls, shifted))
+        prediction = self._predict(self.model[chains], *bundle, bundled=True)[:, :, not alone :]
         self.members += prediction[..., 0].numel()
         self.failures += int((~torch.isfinite(prediction)).any(-1).sum())
-        self.cost[chains] = self._cost(gel, nuisances, prediction[:, 0])
-        return self._equations(gel, nuisances, anomalies, prediction)
+        return prediction
 
     def _equations(self, gel: Tensor, nuisances: Tensor, anomalies: Tensor, prediction: Tensor) -> NormalEquations:
         count = anomalies.shape[1]
@@ -349,11 +371,17 @@ class _Search:
         shorter = (_LONGEST_STEP / length.clamp_min(1e-300)).clamp_max(1.0)
         gel = self.gel[chains, None] + shorter * gel_step
         nuisances = self.nuisances[chains, None] + shorter[..., None] * nuisance_step
-        cost = self._cost(gel, nuisances, self._predict_led(chains, gel, nuisances))
+        ahead = gel[..., 0].numel() * nuisances.shape[2] * (1 + len(self.anomalies) + len(self.columns)) <= _AHEAD
+        around = self._neighbourhoods(chains, gel, nuisances) if ahead else None
+        prediction = self._predict_led(chains, gel, nuisances) if around is None else around[:, :, 0]
+        cost = self._cost(gel, nuisances, prediction)
         best, row = cost.min(dim=1)
         better = best < self.cost[chains] - 0.01 * self.options.gradient**2  # a fiftieth of what the tolerance leaves
         kept, at = chains[better], (torch.nonzero(better)[:, 0], row[better])
         self.gel[kept], self.nuisances[kept], self.cost[kept] = gel[at], nuisances[at], best[better]
+        self._forget(kept)
+        if around is not None:
+            self._keep(kept, around[at])
         eased = self.damping[kept] * torch.tensor(_DAMPINGS, dtype=torch.float64)[row[better]]
         self.damping[kept] = torch.where(eased > 0.0, 0.3 * eased, 0.1 * self.damping[kept]).clamp(1e-6, 1e6)
         self._unstick(chains[~better])
@@ -368,6 +396,7 @@ class _Search:
 
     def _follow_oneself(self, chains: Tensor) -> None:
         """Make the current points of chains their leaders."""
+        self._forget(chains[self.led[chains]])  # one without a leader has led its own neighbourhood all along
         self.led[chains] = True
         self.leader_gel[chains], self.leader_nuisances[chains] = self.gel[chains], self.nuisances[chains]
 
@@ -381,6 +410,7 @@ class _Search:
                 self._follow_oneself(torch.tensor([chain]))
             elif not (close == chain).any():
                 first = close[0]
+                self._forget(torch.tensor([chain]))
                 self.led[chain] = True
                 self.leader_gel[chain], self.leader_nuisances[chain] = self.leader_gel[first], self.leader_nuisances[first]
 
@@ -434,6 +464,7 @@ class _Search:
             self.cost[apart] = self._cost_alone(self.model[apart], self.gel[apart], self.nuisances[apart])
             self.finished[apart] = ~torch.isfinite(self.cost[apart])
             self.led[apart], self.damping[apart] = False, 1e-2
+            self._forget(apart)
 
     def report(self) -> str:
         """Costs and gradients of the best start of each model."""

@@ -12,11 +12,13 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from torch import Tensor
+
 from imr_torch.assimilate import EnsembleOptions, ModelFit
 from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap.effects import Effect
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
-from imr_torch.gap.linear import linearise
+from imr_torch.gap.linear import Linearisation, linearise
 from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_blocks, promising_starts
 from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch
@@ -100,25 +102,39 @@ def attribute(
     fits = {null_name: null} | found
     evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
     winner = max((name for name in fits if name != null_name), key=lambda name: evidence[name])
-    adequacy, next_starts = adequacy_test(fits[winner], effects, batch, simulator, seed=child(seed, "adequacy"))
-    posterior, families = _weigh(evidence, effects, tuple(with_), adequacy.p_value)
-    return Attribution(fits, evidence, posterior, families, winner, adequacy, next_starts)
+    left = adequacy_test(fits[winner], effects, batch, simulator, seed=child(seed, "adequacy"))
+    posterior, families = _weigh(evidence, effects, tuple(with_), left.test.p_value)
+    return Attribution(fits, evidence, posterior, families, winner, left.test, left.starts)
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """Whether anything is left at a fit that the library or the generic blocks can see.
+
+    Args:
+        test: the gap test there.
+        starts: from where each effect that the fit does not hold would start.
+        line: the fit's neighbourhood.
+        directions: what each of those effects changes there (:func:`imr_torch.gap.score.effect_directions`).
+    """
+
+    test: GapTest
+    starts: dict[str, tuple[tuple[float, ...], ...]]
+    line: Linearisation
+    directions: dict[str, Tensor]
 
 
 def adequacy_test(
     fit: ModelFit, effects: Sequence[Effect], batch: ExperimentBatch, simulator: Simulator, *, seed: int
-) -> tuple[GapTest, dict[str, tuple[tuple[float, ...], ...]]]:
-    """The gap test at a fit: whether anything is left that the library or the generic blocks can see.
-
-    Returns:
-        The test, and from where each effect that the fit does not hold would start.
-    """
+) -> Adequacy:
+    """The gap test at a fit, of effects that it does not hold and of the generic blocks."""
     line = linearise(fit, batch, simulator)
     others = [effect for effect in effects if not set(effect.names) & set(fit.prior.names)]
-    rows = effect_directions(others, fit, batch, simulator, line)
-    blocks = [block(name, directions, line) for name, directions in rows.items()]
-    starts = {effect.name: promising_starts(effect, rows[effect.name], line) for effect in others}
-    return gap_test([*blocks, *generic_blocks(fit, batch, simulator, line)], line, seed=seed), starts
+    directions = effect_directions(others, fit, batch, simulator, line)
+    blocks = [block(name, rows, line) for name, rows in directions.items()]
+    starts = {effect.name: promising_starts(effect, directions[effect.name], line) for effect in others}
+    test = gap_test([*blocks, *generic_blocks(fit, batch, simulator, line)], line, seed=seed)
+    return Adequacy(test, starts, line, directions)
 
 
 def _weigh(

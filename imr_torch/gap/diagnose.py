@@ -8,11 +8,14 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from torch import Tensor
+
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
-from imr_torch.gap.attribute import ADEQUATE, Attribution, adequacy_test, attribute
+from imr_torch.gap.attribute import ADEQUATE, Adequacy, Attribution, adequacy_test, attribute
 from imr_torch.gap.effects import LIBRARY, Effect, library
 from imr_torch.gap.hypotheses import Hypothesis, fit_null
+from imr_torch.gap.linear import Linearisation
 from imr_torch.gap.score import GapTest
 from imr_torch.material import ModelBelief, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
@@ -38,6 +41,8 @@ class GapReport:
         batch: the data, with their noise.
         null: the base model's fit.
         gap: the gap test at that fit.
+        line: that fit's neighbourhood.
+        directions: what each effect changes there, whitened: name -> ``S x N``.
         attribution: causes, if there is a gap; of the last effect where several were selected.
         verdict: ``"none"``, ``"effect"``, ``"class"``, ``"other"`` or ``"undecided"``.
         cause: names of the effects that the verdict names.
@@ -48,6 +53,8 @@ class GapReport:
     batch: ExperimentBatch
     null: ModelFit
     gap: GapTest
+    line: Linearisation
+    directions: dict[str, Tensor]
     attribution: Attribution | None
     verdict: str
     cause: tuple[str, ...]
@@ -97,7 +104,8 @@ def diagnose(
     simulator = _impatient(simulator or TransportSimulator(accuracy=ACCURACIES["search"]))
     batch = ExperimentBatch(tuple(experiments), noise or Noise())
     null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
-    gap, starts = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
+    base_left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
+    gap = base_left.test
     if progress:
         progress(f"gap test: p = {gap.p_value:.2g}, leading block {gap.blocks[0].name}")
 
@@ -107,8 +115,19 @@ def diagnose(
         found = _Finding("none", (), "No block of the gap test rejects the base model.")
     else:
         offer = _Offer(base, effects, batch, simulator, seed, progress)
-        found = _select(offer, null, gap, starts, most)
-    return GapReport(batch, null, gap, found.attribution, found.verdict, found.cause, time.perf_counter() - start, found.reason)
+        found = _select(offer, null, base_left, most)
+    return GapReport(
+        batch=batch,
+        null=null,
+        gap=gap,
+        line=base_left.line,
+        directions=base_left.directions,
+        attribution=found.attribution,
+        verdict=found.verdict,
+        cause=found.cause,
+        seconds=time.perf_counter() - start,
+        reason=found.reason,
+    )
 
 
 def _impatient(simulator: Simulator) -> Simulator:
@@ -156,10 +175,10 @@ class _Offer:
         )
 
 
-def _select(offer: _Offer, null: ModelFit, gap: GapTest, starts: Starts, most: int) -> _Finding:
+def _select(offer: _Offer, null: ModelFit, left: Adequacy, most: int) -> _Finding:
     """Select effects one after the other until they are adequate; name them, their class, or nobody."""
     chosen: tuple[Effect, ...] = ()
-    fit, test = null, gap
+    fit, test, starts = null, left.test, left.starts
     first: Attribution | None = None
     while len(chosen) < min(most, len(offer.effects)):
         found = offer.attribute(chosen, fit, starts)

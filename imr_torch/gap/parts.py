@@ -14,9 +14,7 @@ from imr_torch.gap.effects import LIBRARY
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign, identity_design
 from imr_torch.gap.latent import LatentPressure, latent_pressure
-from imr_torch.gap.linear import linearise
 from imr_torch.gap.locate import ByExperiment, Onset, by_experiment, onset
-from imr_torch.gap.score import effect_directions
 from imr_torch.gap.shrinkage import Shrinkage, shrinkage, shrinkage_unseen
 from imr_torch.gap.windows import MovingWindows, moving_windows
 from imr_torch.observe import Experiment, ExperimentBatch
@@ -66,10 +64,7 @@ def examine(
     """
     if not (report.gap.found and report.null.certificate.converged):
         return Parts()
-    fit, batch = report.null, report.batch
-    line = linearise(fit, batch, simulator)
-    offered = [LIBRARY[block.name] for block in report.gap.blocks if block.name in LIBRARY]
-    directions = effect_directions(offered, fit, batch, simulator, line)
+    fit, batch, line, directions = report.null, report.batch, report.line, report.directions
     if progress:
         progress("location, shrinkage, next design")
     tasks: dict[str, Callable[[Simulator], Any]] = {

@@ -36,7 +36,7 @@ _APART = 0.03  # prior standard deviations between the starts of a training fit:
 _STEPS = 2  # Gauss-Newton steps for the nuisances of a held-out design
 _ADEQUATE = 0.01
 _WIDEST = 2.0  # size of S beyond which the base leaves next to nothing to shrink
-_OPTIONS = EnsembleOptions(starts=2, iterations=20, gradient=2e-2)  # 2e-2 posterior sds: nothing a prediction would show
+_OPTIONS = EnsembleOptions(starts=2, iterations=20, gradient=0.3)  # posterior sds, .05 nats: below the noise of training
 _NONE = "none"
 
 
@@ -270,7 +270,9 @@ def _hold_out(
         out = groups[number]
         training = _part(batch, [i for i in range(count) if i not in out])
         trained = _train(fits, training, simulator, child(seed, "fold", number))
-        return {(name, i): held_out(fit, _part(batch, [i]), simulator) for name, fit in trained.items() for i in out}
+        pairs = [(name, i) for name in trained for i in out]
+        tasks = [partial(held_out, trained[name], _part(batch, [i])) for name, i in pairs]
+        return {pairs[number]: found for number, found in simulate_together(tasks, simulator)}
 
     parts: dict[tuple[str, int], HeldOut] = {}
     tasks = [partial(judge, number) for number in range(len(groups))]

@@ -24,6 +24,7 @@ T = TypeVar("T")
 Fields = tuple[Tensor, ...]
 
 _ALL = 1 << 40
+_CALL = 200  # bubbles that cost about as much as one more call
 _PADDING = 1e-9  # between the times that fill a short row, in t*
 
 
@@ -73,12 +74,12 @@ class _Cancelled(BaseException):
 
 @dataclass(frozen=True)
 class _Order:
-    """Bubbles that a task waits for: flat parameters, designs and times; ``width`` is that of a bundle, if they are any."""
+    """Bubbles that a task waits for: flat parameters, designs and times; ``width`` is that of their bundles."""
 
     parameters: Tensor
     designs: Tensor
     times: Tensor
-    width: int | None
+    width: int
 
 
 class _Seat(Generic[T]):
@@ -121,7 +122,7 @@ class _Seat(Generic[T]):
             self._error = error
         self._to_caller.release()
 
-    def _wait(self, parameters: Tensor, designs: Tensor, times: Tensor, width: int | None = None) -> Fields:
+    def _wait(self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1) -> Fields:
         """Order bubbles; comes back when they are made."""
         if torch.is_grad_enabled() and any(x.requires_grad for x in (parameters, designs, times)):
             raise UnsupportedError("Bubbles that are simulated together carry no gradients; use the simulator itself.")
@@ -151,8 +152,7 @@ def _serve(seated: Sequence[_Seat[Any]], simulator: Simulator) -> None:
     """Fill all orders, those of one kind by one call, and let each task go on."""
     orders = [(seat, seat.order) for seat in seated if seat.order is not None]
     answers: dict[int, Fields | BaseException] = {}
-    for width in dict.fromkeys(order.width for _, order in orders):
-        alike = [(seat, order) for seat, order in orders if order.width == width]
+    for width, alike in _calls(orders):
         try:
             filled: Sequence[Fields | BaseException] = _fill([order for _, order in alike], width, simulator)
         except ImrError as error:
@@ -162,20 +162,36 @@ def _serve(seated: Sequence[_Seat[Any]], simulator: Simulator) -> None:
         seat.resume(answers[seat.number])
 
 
-def _fill(orders: Sequence[_Order], width: int | None, simulator: Simulator) -> list[Fields]:
-    """One call for orders of one kind; short rows of times are filled up just behind their last."""
+def _calls(orders: Sequence[tuple[_Seat[Any], _Order]]) -> list[tuple[int, list[tuple[_Seat[Any], _Order]]]]:
+    """Orders that are filled together, and the width to which their bundles are made up; the widest come first."""
+    calls: list[tuple[int, list[tuple[_Seat[Any], _Order]]]] = []
+    for width in sorted({order.width for _, order in orders}, reverse=True):
+        alike = [(seat, order) for seat, order in orders if order.width == width]
+        bundles = sum(len(order.parameters) for _, order in alike) // width
+        if calls and bundles * (calls[-1][0] - width) <= _CALL:
+            calls[-1][1].extend(alike)
+        else:
+            calls.append((width, alike))
+    return calls
+
+
+def _fill(orders: Sequence[_Order], width: int, simulator: Simulator) -> list[Fields]:
+    """One call for some orders. Short rows of times are filled up just behind their last, narrow bundles with followers."""
     longest = max(order.times.shape[1] for order in orders)
-    times = []
+    batches: list[tuple[Tensor, ...]] = []
     for order in orders:
         more = torch.arange(1, longest - order.times.shape[1] + 1, dtype=order.times.dtype)
-        times.append(torch.cat((order.times, order.times[:, -1:] + _PADDING * more), dim=1))
-    batch = torch.cat([o.parameters for o in orders]), torch.cat([o.designs for o in orders]), torch.cat(times)
+        times = torch.cat((order.times, order.times[:, -1:] + _PADDING * more), dim=1)
+        bundles = (x.unflatten(0, (-1, order.width)) for x in (order.parameters, order.designs, times))
+        batches.append(tuple(torch.cat((x, x[:, -1:].expand(-1, width - order.width, -1)), 1) for x in bundles))
+    batch = [torch.cat(parts) for parts in zip(*batches, strict=True)]
     with torch.no_grad():
-        made = simulator(*batch) if width is None else simulator.bundle(*(x.unflatten(0, (-1, width)) for x in batch))
-    curves = [x.reshape(len(batch[0]), longest) for x in (made.radius, made.velocity, made.bubble_pressure)]
-    counts = [x.reshape(-1) for x in (made.status, made.steps)]
-    lengths = [len(order.parameters) for order in orders]
-    rows = zip(*(x.split(lengths) for x in (*curves, *counts)), strict=True)
-    return [
-        (*(curve[:, : order.times.shape[1]] for curve in row[:3]), *row[3:]) for order, row in zip(orders, rows, strict=True)
-    ]
+        made = simulator(*(x[:, 0] for x in batch)) if width == 1 else simulator.bundle(*batch)
+    fields = [x.reshape(len(batch[0]), width, -1) for x in (made.radius, made.velocity, made.bubble_pressure)]
+    fields += [x.reshape(len(batch[0]), width) for x in (made.status, made.steps)]
+    rows = zip(*(x.split([len(own[0]) for own in batches]) for x in fields), strict=True)
+    filled = []
+    for order, row in zip(orders, rows, strict=True):
+        parts = [x[:, : order.width].flatten(0, 1) for x in row]
+        filled.append((*(curve[:, : order.times.shape[1]] for curve in parts[:3]), *parts[3:]))
+    return filled
