@@ -56,7 +56,7 @@ class EnsembleOptions:
         agreement: tolerance of the cost difference between the two best starts, nats.
         hopeless: a start rests, unconverged, once its cost less what its gradient promises is worse than the best cost of
             any model by more than this, nats; never when not given. When given, models race: the best start of each sets
-            out, and the others follow only where it arrives not too far behind.
+            out, and a second follows only where it arrives not too far behind; of more than two, all follow.
     """
 
     members: int | None = None
@@ -98,8 +98,8 @@ def assimilate(
         options: how to search.
         near: an assimilation of the same belief and experiments (with another noise, say) to start from, in place of
             scouts; the starts are then perturbed copies of its optimum.
-        starts: per model, ``options.starts x d`` controls ``v`` (see :class:`imr_torch.assimilate.ModelFit`) to start from, in
-            place of scouts.
+        starts: per model, two or more rows of ``d`` controls ``v`` (see :class:`imr_torch.assimilate.ModelFit`) to start from,
+            in place of scouts.
         progress: called with one line per iteration.
 
     Returns:
@@ -172,7 +172,8 @@ class _Search:
             self.anomalies = options.spread * torch.eye(self.size, dtype=torch.float64)
         else:
             self.anomalies = options.spread * _antithetic(options.members, self.size, source)
-        self.model = torch.arange(len(belief.models)).repeat_interleave(options.starts)
+        counts = torch.tensor([len(rows) for rows in starts] if starts else [options.starts] * len(belief.models))
+        self.model = torch.arange(len(belief.models)).repeat_interleave(counts)
         if starts is not None:
             self._start_at(starts)
         elif near is not None:
@@ -211,10 +212,10 @@ class _Search:
 
     def _start_at(self, starts: Sequence[Tensor]) -> None:
         """Start each model at given controls."""
-        free, count = [len(part.names) for part in self.belief.models], self.options.starts
-        if [tuple(rows.shape) for rows in starts] != [(count, d) for d in free]:
+        free = [len(part.names) for part in self.belief.models]
+        if [rows.shape[1] for rows in starts] != free or min(len(rows) for rows in starts) < 2:
             shapes = [tuple(rows.shape) for rows in starts]
-            raise ShapeError(f"starts has shapes {shapes}; expected {count} (options.starts) x {free} free parameters.")
+            raise ShapeError(f"starts has shapes {shapes}; expected two rows or more of {free} free parameters.")
         self.gel = torch.cat([torch.nn.functional.pad(rows, (0, self.size - rows.shape[1])) for rows in starts])
         self.nuisances = torch.zeros(len(self.model), self.batch.designs.shape[0], 3, dtype=torch.float64)
         self.cost = self._cost_alone(self.model, self.gel, self.nuisances)
@@ -433,13 +434,17 @@ class _Search:
         """Whether the best has left a chain behind by more than so many times ``hopeless``."""
         return self.options.hopeless is not None and bool(self.cost[chain] > self.cost.min() + times * self.options.hopeless)
 
+    def _several(self, rows: Tensor) -> bool:
+        """Whether a racing model was given starts for several minima: all of them set out, wherever the first one arrives."""
+        return self.options.hopeless is not None and len(rows) > 2
+
     def settle(self) -> None:
         """Let the other starts of a model rest once its best one has converged and a second agrees with it."""
         for model in range(len(self.belief.models)):
             rows = torch.nonzero(self.model == model)[:, 0]
             agree = self.cost[rows] < self.cost[rows].min() + self.options.agreement
             sure = agree & (self.gradient[rows] < self.options.gradient) & self.finished[rows]
-            if int(sure.sum()) >= 2:
+            if int(sure.sum()) >= 2 and not self._several(rows):
                 self.finished[rows] = True
 
     def restart(self) -> None:
@@ -449,9 +454,10 @@ class _Search:
             rows = rows[torch.argsort(self.cost[rows])]
             apart = rows[self.cost[rows] > self.cost[rows[0]] + self.options.agreement]
             fresh = apart[(self.iterations[apart] == 0) & torch.isfinite(self.cost[apart])]
-            if len(rows) - len(apart) >= 2 or not bool(self.finished[rows].all()):
+            agree = len(rows) - len(apart) >= 2 and not (len(fresh) and self._several(rows))
+            if agree or not bool(self.finished[rows].all()):
                 continue
-            if len(fresh) and not self._behind(rows[0], _RESERVE):
+            if len(fresh) and (self._several(rows) or not self._behind(rows[0], _RESERVE)):
                 self.finished[fresh] = False
                 continue
             if self.restarted[model] or self._behind(rows[0], 1.0):

@@ -191,7 +191,7 @@ for _effect in (
             "sound_frequency": TruncatedNormal(1.5, 0.7),
             "sound_phase": TruncatedNormal(0.0, 2.0),
         },
-        tuple((0.02, w, p) for w in (0.7, 1.4, 2.1) for p in (0.0, 1.57)),
+        tuple((0.03, w, p) for w in (0.7, 1.4, 2.1) for p in (0.0, 1.57, 3.14, 4.71)),
         "damage; a hydrophone tells",
     ),
     Effect(

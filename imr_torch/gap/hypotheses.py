@@ -6,7 +6,7 @@ models does so for causes. Fits of effects start at the null fit, with the effec
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -114,7 +114,7 @@ def fit_hypotheses(
     options: EnsembleOptions | None = None,
     progress: Progress | None = None,
 ) -> dict[str, ModelFit]:
-    """Fit hypotheses from the null fit; those of as many starts are fitted in one batch.
+    """Fit hypotheses from the null fit, in one batch.
 
     Args:
         hypotheses: what to fit.
@@ -123,32 +123,17 @@ def fit_hypotheses(
         simulator: makes the bubbles.
         seed: of the search.
         starts: name of a last effect -> values from which to start it; its own starts where not given.
-        options: how to search; ``starts`` is set by the number of starts.
+        options: how to search.
         progress: called with one line per iteration.
 
     Returns:
         Name of the hypothesis -> fit.
     """
-    groups: dict[int, list[tuple[Hypothesis, Tensor]]] = {}
-    for hypothesis in hypotheses:
-        rows = hypothesis.starts(null, (starts or {}).get(hypothesis.effects[-1].name))
-        groups.setdefault(len(rows), []).append((hypothesis, rows))
-    fits: dict[str, ModelFit] = {}
-    for count, pairs in groups.items():
-        members = [hypothesis for hypothesis, _ in pairs]
-        beliefs = tuple(h.belief for h in members)
-        belief = Belief(beliefs, torch.zeros(len(beliefs), dtype=torch.float64))
-        found = assimilate(
-            belief,
-            batch,
-            simulator,
-            seed=seed,
-            options=replace(options or EnsembleOptions(), starts=count),
-            starts=[rows for _, rows in pairs],
-            progress=progress,
-        )
-        fits |= {h.name: fit for h, fit in zip(members, found.fits, strict=True)}
-    return fits
+    rows = [h.starts(null, (starts or {}).get(h.effects[-1].name)) for h in hypotheses]
+    beliefs = tuple(h.belief for h in hypotheses)
+    belief = Belief(beliefs, torch.zeros(len(beliefs), dtype=torch.float64))
+    found = assimilate(belief, batch, simulator, seed=seed, options=options, starts=rows, progress=progress)
+    return {h.name: fit for h, fit in zip(hypotheses, found.fits, strict=True)}
 
 
 def as_assimilation(fit: ModelFit, batch: ExperimentBatch) -> Assimilation:

@@ -27,7 +27,7 @@ LEVEL = 0.04
 _RANK = 1e-3  # singular values below this part of the largest add no direction
 _BOOTSTRAP = 2000
 _PULSES = 8
-_STARTS = ((0.05, 0.4), (0.5, 1.5))  # amplitudes, over those of an effect's starts
+_SMALL, _TYPICAL = (0.05, 0.4), (0.5, 1.5)  # bounds of a start's amplitude, over that of the effect's own
 _LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones to be tested
 
 
@@ -95,11 +95,13 @@ def effect_directions(
     }
 
 
-def promising_starts(effect: Effect, rows: Tensor, line: Linearisation) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Two starts of an effect in the directions that the residual asks for most: a small one and one of typical size.
+def promising_starts(effect: Effect, rows: Tensor, line: Linearisation) -> tuple[tuple[float, ...], ...]:
+    """From where to fit an effect: a small step in the direction that the residual asks for most, then larger ones.
 
     A large gap asks, to first order, for more than is true, and beyond the next collapse another minimum waits; an effect
-    whose slope vanishes at its neutral value is not seen from near it. One of the two starts suits each.
+    whose slope vanishes at its neutral value is not seen from near it. So one more start, of typical size, suits an effect
+    of one parameter. One with a shape (the frequency and phase of a sound field, say) has a minimum for each, and what looks
+    best from here need not be: all its starts are taken.
 
     Args:
         effect: the effect.
@@ -111,12 +113,15 @@ def promising_starts(effect: Effect, rows: Tensor, line: Linearisation) -> tuple
     amplitude = (left @ line.residual) / square
     gain = amplitude.clamp_min(0.0) * amplitude * square
     order = [i for i in torch.argsort(-gain).tolist() if float(gain[i]) > 0.0][:2] or [0]
-    starts = []
-    for i, (least, most) in zip((order[0], order[-1]), _STARTS, strict=True):
+
+    def scaled(i: int, least: float, most: float) -> tuple[float, ...]:
         first, *others = effect.starts[i]
-        scale = min(max(float(amplitude[i]), least), most) if len(rows) else least
-        starts.append((first * scale, *others))
-    return starts[0], starts[1]
+        return (first * (min(max(float(amplitude[i]), least), most) if len(rows) else least), *others)
+
+    small = scaled(order[0], *_SMALL)
+    if len({tuple(others) for _, *others in effect.starts}) > 1:
+        return small, *effect.starts
+    return small, scaled(order[-1], *_TYPICAL)
 
 
 def block(name: str, rows: Tensor, line: Linearisation) -> Block:
