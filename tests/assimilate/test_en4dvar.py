@@ -216,6 +216,30 @@ def test_that_an_integration_error_that_jumps_does_not_keep_a_fit_from_convergin
         assert not fitted(belief, batch, JitterySimulator(lock_step=False), options=replace(OPTIONS, spread=0.1)).converged
 
 
+class WavySimulator(LinearSimulator):
+    """Linear in ``x + 1.5 sin 3x`` for the control ``x`` of the modulus, so that a fit has several minima."""
+
+    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        parameters, at = parameters.clone(), PARAMETERS.index(["G"])[0]
+        control = (parameters[..., at] - MEANS["G"]) / SDS["G"]
+        parameters[..., at] = MEANS["G"] + SDS["G"] * (control + 1.5 * torch.sin(3.0 * control))
+        return super().__call__(parameters, designs, times)
+
+
+def test_that_in_a_race_the_other_starts_of_a_model_with_several_minima_follow() -> None:
+    """The best two starts agree on a poor minimum; the third, which looks worst, leads to a better one."""
+    belief, batch = prior(("nhkv",)), experiments(3)
+    rows = tensor((1.7, 0.0), (1.75, 0.0), (0.4, 0.0))
+
+    def cost(starts: Tensor) -> float:
+        options = EnsembleOptions(hopeless=6.0)
+        return assimilate(belief, batch, WavySimulator(), seed=1, options=options, starts=[starts]).fits[0].cost
+
+    best = cost(rows[[2, 2]])
+    assert cost(rows[:2]) > best + 1.0
+    assert cost(rows) == pytest.approx(best, abs=1e-6)
+
+
 # ---------------------------------------------------------------- certificates, both ways
 
 
