@@ -86,6 +86,7 @@ def assimilate(
     options: EnsembleOptions | None = None,
     near: Assimilation | None = None,
     starts: Sequence[Tensor] | None = None,
+    nuisances: Sequence[Tensor] | None = None,
     progress: Progress | None = None,
 ) -> Assimilation:
     """Fit every model of a belief to a batch of experiments.
@@ -100,6 +101,7 @@ def assimilate(
             scouts; the starts are then perturbed copies of its optimum.
         starts: per model, two or more rows of ``d`` controls ``v`` (see :class:`imr_torch.assimilate.ModelFit`) to start from,
             in place of scouts.
+        nuisances: per model, ``E x 3`` standardised nuisances with which its starts begin; zero by default.
         progress: called with one line per iteration.
 
     Returns:
@@ -116,7 +118,7 @@ def assimilate(
             f"EnsembleOptions.members is {options.members}: {largest} parameters need at least {2 * largest} members, "
             "or the ensemble is degenerate."
         )
-    search = _Search(belief, batch, simulator, options, seed, near, starts)
+    search = _Search(belief, batch, simulator, options, seed, near, starts, nuisances)
     search.hold_back()
     for iteration in range(options.iterations):
         if bool(search.finished.all()):
@@ -162,6 +164,7 @@ class _Search:
         seed: int,
         near: Assimilation | None,
         starts: Sequence[Tensor] | None,
+        nuisances: Sequence[Tensor] | None,
     ) -> None:
         self.belief, self.batch, self.simulator, self.options = belief, batch, simulator, options
         self.sds = batch.nuisance_sds
@@ -175,7 +178,7 @@ class _Search:
         counts = torch.tensor([len(rows) for rows in starts] if starts else [options.starts] * len(belief.models))
         self.model = torch.arange(len(belief.models)).repeat_interleave(counts)
         if starts is not None:
-            self._start_at(starts)
+            self._start_at(starts, nuisances)
         elif near is not None:
             self._start_near(near, source)
         else:
@@ -210,14 +213,17 @@ class _Search:
         self.cost = torch.cat([cost[i, rows] for i, rows in enumerate(chosen)])
         self.nuisances = torch.zeros(len(self.model), experiments, 3, dtype=torch.float64)
 
-    def _start_at(self, starts: Sequence[Tensor]) -> None:
+    def _start_at(self, starts: Sequence[Tensor], nuisances: Sequence[Tensor] | None) -> None:
         """Start each model at given controls."""
         free = [len(part.names) for part in self.belief.models]
         if [rows.shape[1] for rows in starts] != free or min(len(rows) for rows in starts) < 2:
             shapes = [tuple(rows.shape) for rows in starts]
             raise ShapeError(f"starts has shapes {shapes}; expected two rows or more of {free} free parameters.")
         self.gel = torch.cat([torch.nn.functional.pad(rows, (0, self.size - rows.shape[1])) for rows in starts])
-        self.nuisances = torch.zeros(len(self.model), self.batch.designs.shape[0], 3, dtype=torch.float64)
+        if nuisances is None:
+            self.nuisances = torch.zeros(len(self.model), *self.sds.shape, dtype=torch.float64)
+        else:
+            self.nuisances = torch.stack([nuisances[i] for i in self.model.tolist()]).clone()
         self.cost = self._cost_alone(self.model, self.gel, self.nuisances)
 
     def _start_near(self, near: Assimilation, source: torch.Generator) -> None:

@@ -99,8 +99,7 @@ def fit_null(
         rough = assimilate(belief, batch, PolytropicSimulator(simulator.conditions), seed=seed, options=_ROUGH).fits[0]
     spread = _APART * torch.randn(2, len(rough.mean), generator=generator(child(seed, "null")), dtype=torch.float64)
     starts = torch.cat((rough.mean[None], rough.mean + spread[:1]))
-    options = EnsembleOptions(starts=len(starts))
-    return assimilate(belief, batch, simulator, seed=seed, options=options, starts=[starts], progress=progress).fits[0]
+    return assimilate(belief, batch, simulator, seed=seed, starts=[starts], progress=progress).fits[0]
 
 
 def fit_hypotheses(
@@ -132,7 +131,16 @@ def fit_hypotheses(
     rows = [h.starts(null, (starts or {}).get(h.effects[-1].name)) for h in hypotheses]
     beliefs = tuple(h.belief for h in hypotheses)
     belief = Belief(beliefs, torch.zeros(len(beliefs), dtype=torch.float64))
-    found = assimilate(belief, batch, simulator, seed=seed, options=options, starts=rows, progress=progress)
+    found = assimilate(
+        belief,
+        batch,
+        simulator,
+        seed=seed,
+        options=options,
+        starts=rows,
+        nuisances=[null.nuisances] * len(rows),
+        progress=progress,
+    )
     return {h.name: fit for h, fit in zip(hypotheses, found.fits, strict=True)}
 
 

@@ -27,7 +27,8 @@ LEVEL = 0.04
 _RANK = 1e-3  # singular values below this part of the largest add no direction
 _BOOTSTRAP = 2000
 _PULSES = 8
-_SMALL, _TYPICAL = (0.05, 0.4), (0.5, 1.5)  # bounds of a start's amplitude, over that of the effect's own
+_SMALL = 0.05  # amplitude of a first start, over the effect's own: so near the null fit that it cannot end above it
+_TYPICAL = (0.5, 1.5)  # bounds of that of a second
 _LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones to be tested
 
 
@@ -96,12 +97,13 @@ def effect_directions(
 
 
 def promising_starts(effect: Effect, rows: Tensor, line: Linearisation) -> tuple[tuple[float, ...], ...]:
-    """From where to fit an effect: a small step in the direction that the residual asks for most, then larger ones.
+    """From where to fit an effect: next to its neutral value, and from larger ones.
 
-    A large gap asks, to first order, for more than is true, and beyond the next collapse another minimum waits; an effect
-    whose slope vanishes at its neutral value is not seen from near it. So one more start, of typical size, suits an effect
-    of one parameter. One with a shape (the frequency and phase of a sound field, say) has a minimum for each, and what looks
-    best from here need not be: all its starts are taken.
+    Where the data are sharp a start of typical size is far above the null fit, and may end there; a fit only descends, so
+    one that starts beside the null fit ends below it. An effect whose slope vanishes at its neutral value is not seen from
+    near it, so one more start, of the size that the residual asks for, suits an effect of one parameter. One with a shape
+    (the frequency and phase of a sound field, say) has a minimum for each, and what looks best from here need not be: all
+    its starts are taken.
 
     Args:
         effect: the effect.
@@ -114,14 +116,13 @@ def promising_starts(effect: Effect, rows: Tensor, line: Linearisation) -> tuple
     gain = amplitude.clamp_min(0.0) * amplitude * square
     order = [i for i in torch.argsort(-gain).tolist() if float(gain[i]) > 0.0][:2] or [0]
 
-    def scaled(i: int, least: float, most: float) -> tuple[float, ...]:
-        first, *others = effect.starts[i]
-        return (first * (min(max(float(amplitude[i]), least), most) if len(rows) else least), *others)
-
-    small = scaled(order[0], *_SMALL)
-    if len({tuple(others) for _, *others in effect.starts}) > 1:
+    first, *others = effect.starts[order[0]]
+    small = (_SMALL * first, *others)
+    if len({tuple(shape) for _, *shape in effect.starts}) > 1:
         return small, *effect.starts
-    return small, scaled(order[-1], *_TYPICAL)
+    first, *others = effect.starts[order[-1]]
+    least, most = _TYPICAL
+    return small, (first * (min(max(float(amplitude[order[-1]]), least), most) if len(rows) else least), *others)
 
 
 def block(name: str, rows: Tensor, line: Linearisation) -> Block:

@@ -268,8 +268,8 @@ def _hold_out(
 
     def judge(number: int, simulator: Simulator) -> dict[tuple[str, int], HeldOut]:
         out = groups[number]
-        training = _part(batch, [i for i in range(count) if i not in out])
-        trained = _train(fits, training, simulator, child(seed, "fold", number))
+        training = [i for i in range(count) if i not in out]
+        trained = _train(fits, training, batch, simulator, child(seed, "fold", number))
         pairs = [(name, i) for name in trained for i in out]
         tasks = [partial(held_out, trained[name], _part(batch, [i])) for name, i in pairs]
         return {pairs[number]: found for number, found in simulate_together(tasks, simulator)}
@@ -289,15 +289,19 @@ def _part(batch: ExperimentBatch, chosen: Sequence[int]) -> ExperimentBatch:
     return ExperimentBatch(tuple(batch.experiments[i] for i in chosen), batch.noise)
 
 
-def _train(fits: Mapping[str, ModelFit], batch: ExperimentBatch, simulator: Simulator, seed: int) -> dict[str, ModelFit]:
+def _train(
+    fits: Mapping[str, ModelFit], designs: Sequence[int], batch: ExperimentBatch, simulator: Simulator, seed: int
+) -> dict[str, ModelFit]:
     """Fits of all hypotheses to the training designs, in one batch, each from starts near its fit to all designs."""
     source = generator(seed)
     starts = []
     for fit in fits.values():
         others = _APART * torch.randn(_OPTIONS.starts - 1, len(fit.mean), generator=source, dtype=torch.float64)
         starts.append(torch.cat((fit.mean[None], fit.mean + others)))
+    nuisances = [fit.nuisances[list(designs)] for fit in fits.values()]
     belief = Belief(tuple(fit.prior for fit in fits.values()), torch.zeros(len(fits), dtype=torch.float64))
-    found = assimilate(belief, batch, simulator, seed=seed, options=_OPTIONS, starts=starts)
+    training = _part(batch, designs)
+    found = assimilate(belief, training, simulator, seed=seed, options=_OPTIONS, starts=starts, nuisances=nuisances)
     return dict(zip(fits, found.fits, strict=True))
 
 
