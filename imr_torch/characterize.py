@@ -32,6 +32,7 @@ from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.types import Progress
 
 LEVELS = (0.05, 0.5, 0.95)
+_IMPROBABLE = 3.0  # nats behind the best from which the draws of a model are not repaired
 _NOISE_ROUNDS = 2
 _MIN_FRAMES = 5
 _CURVES_LISTED = 10
@@ -191,7 +192,8 @@ def characterize(
     for number in range(1, rounds + 1):
         batch = ExperimentBatch(experiments, _noise_of(result))
         result = _fit(prior, batch, simulator, options, child(seed, "round", number), result, progress)
-    result = weigh(result, simulator, seed=child(seed, "weigh"), hopeless=options.hopeless if options else None)
+    hopeless = options.hopeless if options and options.hopeless is not None else _IMPROBABLE
+    result = weigh(result, simulator, seed=child(seed, "weigh"), hopeless=hopeless, progress=progress)
     evidence = evidences(result)
     posterior = update(result, evidence)
     return Characterization(experiments, landmarks, result, evidence, posterior, time.process_time() - started)

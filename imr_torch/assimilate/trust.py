@@ -24,6 +24,7 @@ from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ def weigh(
     samples: int = 256,
     rounds: int = 4,
     hopeless: float | None = None,
+    progress: Progress | None = None,
 ) -> Assimilation:
     """Weigh draws about every fit by the exact posterior.
 
@@ -81,7 +83,9 @@ def weigh(
             uncertain); every later round has twice as many as the one before, so that chance alone cannot go on refusing.
         rounds: most rounds; a model stops when the weights are reliable and their moments those that the proposal was
             made for, which after the first round are those of the fit's Gaussian.
-        hopeless: a model whose optimum is worse than that of the best one by more than this, nats, gets one round only.
+        hopeless: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
+            evidence is, by weights that can be leant on.
+        progress: called with one line per round.
 
     Returns:
         The assimilation with a ``sample`` in each fit, from which evidence, moments and verdict are taken.
@@ -97,7 +101,6 @@ def weigh(
     parts: dict[str, list[_Round]] = {fit.model: [] for fit in fits}
     found = {fit.model: fit for fit in fits}
     waiting = list(fits)
-    worst = math.inf if hopeless is None else min(fit.cost for fit in fits) + hopeless
     for number in range(rounds):
         count = samples * 2 ** max(0, number - 1)
         again = simulator if number else None
@@ -105,12 +108,26 @@ def weigh(
         for fit, part in zip(waiting, _simulate(waiting, draws, batch, simulator), strict=True):
             parts[fit.model].append(part)
             found[fit.model] = _judge(found[fit.model], proposals[fit.model][-1], part)
-        waiting = [fit for fit in waiting if found[fit.model].verdict is Verdict.REFUSED and fit.cost <= worst]
+        if progress:
+            progress(f"draws: round {number + 1}, " + ", ".join(f"{f.model} {found[f.model].trust}" for f in waiting))
+        ahead = _ahead(list(found.values()), hopeless)
+        waiting = [fit for fit in waiting if found[fit.model].verdict is Verdict.REFUSED and fit.model in ahead]
         if not waiting:
             break
         for fit in waiting:
             proposals[fit.model].append(_again(proposals[fit.model], parts[fit.model]))
     return replace(assimilation, fits=tuple(found[fit.model] for fit in fits))
+
+
+def _ahead(fits: list[ModelFit], hopeless: float | None) -> set[str]:
+    """Models that are worth further rounds: neither by optimum nor by evidence far behind the best."""
+    if hopeless is None:
+        return {fit.model for fit in fits}
+    samples = {fit.model: fit.sample for fit in fits if fit.sample is not None and fit.sample.reliable}
+    evidence = {model: sample.log_evidence for model, sample in samples.items()}
+    best, most = min(fit.cost for fit in fits), max(evidence.values(), default=-math.inf)
+    near = {fit.model for fit in fits if fit.cost <= best + hopeless}
+    return near - {model for model, value in evidence.items() if value < most - hopeless}
 
 
 def _draw(

@@ -183,6 +183,19 @@ def test_that_a_draw_whose_clock_is_impossible_weighs_nothing_and_does_not_end_t
     assert 0.0 < fit.sample.effective_samples < 100.0
 
 
+def test_that_a_model_that_is_improbable_by_its_evidence_alone_gets_one_round() -> None:
+    """Both optima are alike; what sets the models apart is the volume of a parameter that the data do not need."""
+    both = assimilate(prior(("nhkv", "gen_qkv")), experiments(3), LinearSimulator(), seed=1, options=OPTIONS)
+    assert abs(both["gen_qkv"].cost - both["nhkv"].cost) < 1.0
+    tight = replace(both, fits=tuple(replace(fit, chol=0.7 * fit.chol) for fit in both.fits))
+    for hopeless, again in ((2.0, False), (4.0, True)):
+        said: list[str] = []
+        weighed = weigh(tight, LinearSimulator(), seed=0, samples=256, hopeless=hopeless, progress=said.append)
+        assert (weighed["gen_qkv"].sample.rounds > 1) == again
+        assert weighed["nhkv"].sample.rounds > 1
+        assert len(said) == max(fit.sample.rounds for fit in weighed.fits)
+
+
 def test_that_later_rounds_draw_more_and_hopeless_models_get_one() -> None:
     batch = experiments(3)
     both = assimilate(prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=OPTIONS)
