@@ -83,17 +83,13 @@ class GapTest:
 def effect_directions(
     effects: Sequence[Effect], fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation
 ) -> dict[str, Tensor]:
-    """What each effect changes at each of its starts, whitened: name -> ``S x N``; starts that fail are left out."""
-    changes, owner = [], []
-    for effect in effects:
-        for start in effect.starts:
-            changes.append(dict(zip(effect.names, start, strict=True)))
-            owner.append(effect.name)
+    """What each effect changes at each of its starts, whitened: name -> ``S x N``; zero for a start that fails."""
+    starts = [(effect, start) for effect in effects for start in effect.starts]
+    changes = [dict(zip(effect.names, start, strict=True)) for effect, start in starts]
     rows = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num(nan=math.inf))
-    good = torch.isfinite(rows).all(1)
-    return {
-        effect.name: rows[[i for i, name in enumerate(owner) if name == effect.name and bool(good[i])]] for effect in effects
-    }
+    rows = torch.where(torch.isfinite(rows).all(1, keepdim=True), rows, 0.0)
+    parts = rows.split([len(effect.starts) for effect in effects])
+    return {effect.name: part for effect, part in zip(effects, parts, strict=True)}
 
 
 def promising_starts(effect: Effect, rows: Tensor, line: Linearisation) -> tuple[tuple[float, ...], ...]:
@@ -107,22 +103,21 @@ def promising_starts(effect: Effect, rows: Tensor, line: Linearisation) -> tuple
 
     Args:
         effect: the effect.
-        rows: ``S x N`` tensor from :func:`effect_directions`; empty if no start could be simulated.
+        rows: ``S x N`` tensor from :func:`effect_directions`.
         line: the fit's neighbourhood.
     """
     left = line.project(rows)
     square = left.square().sum(1).clamp_min(1e-300)
     amplitude = (left @ line.residual) / square
     gain = amplitude.clamp_min(0.0) * amplitude * square
-    order = [i for i in torch.argsort(-gain).tolist() if float(gain[i]) > 0.0][:2] or [0]
-
-    first, *others = effect.starts[order[0]]
-    small = (_SMALL * first, *others)
-    if len({tuple(shape) for _, *shape in effect.starts}) > 1:
+    order = torch.argsort(-gain).tolist()
+    best, other = order[0], next((i for i in order[1:2] if float(gain[i]) > 0.0), order[0])
+    first, *shape = effect.starts[best]
+    small = (_SMALL * first, *shape)
+    if len({tuple(others) for _, *others in effect.starts}) > 1:
         return small, *effect.starts
-    first, *others = effect.starts[order[-1]]
-    least, most = _TYPICAL
-    return small, (first * (min(max(float(amplitude[order[-1]]), least), most) if len(rows) else least), *others)
+    first, *shape = effect.starts[other]
+    return small, (first * float(amplitude[other].clamp(*_TYPICAL)), *shape)
 
 
 def block(name: str, rows: Tensor, line: Linearisation) -> Block:
