@@ -37,6 +37,7 @@ _SIDE = 1e-4  # prior standard deviations by which nuisances are moved for their
 _NEAR = 1.0  # posterior standard deviations from a minimum at which a chain keeps its leader
 _RESTART = 0.25  # prior standard deviations
 _AWAY = 10.0  # posterior standard deviations
+_FAIR = 0.2  # share of the best chain's gain from which a model with several minima is given all its starts
 _AHEAD = 300  # bubbles for whose sake it pays to take the neighbourhoods of all trial steps along, and save a call
 _RESERVE = 10.0  # times ``hopeless`` by which a model may lag and still have its other starts sent out
 
@@ -56,7 +57,7 @@ class EnsembleOptions:
         agreement: tolerance of the cost difference between the two best starts, nats.
         hopeless: a start rests, unconverged, once its cost less what its gradient promises is worse than the best cost of
             any model by more than this, nats; never when not given. When given, models race: the best start of each sets
-            out, and a second follows only where it arrives not too far behind; of more than two, all follow.
+            out, and a second follows only where it arrives not too far behind; of more than two, all follow even from afar.
     """
 
     members: int | None = None
@@ -195,6 +196,7 @@ class _Search:
         self.iterations = torch.zeros(chains, dtype=torch.long)
         self.members = self.failures = 0
         self.equations: list[NormalEquations | None] = [None] * chains
+        self.begun = self.cost.clone()
         self.around: dict[int, tuple[Tensor, Tensor]] = {}  # chain -> anomalies and predictions about where it stands
 
     def _scout(self, source: torch.Generator) -> None:
@@ -441,8 +443,13 @@ class _Search:
         return self.options.hopeless is not None and bool(self.cost[chain] > self.cost.min() + times * self.options.hopeless)
 
     def _several(self, rows: Tensor) -> bool:
-        """Whether a racing model was given starts for several minima: all of them set out, wherever the first one arrives."""
+        """Whether a racing model was given starts for several minima: that two of them agree says little of the others."""
         return self.options.hopeless is not None and len(rows) > 2
+
+    def _promising(self, chain: Tensor) -> bool:
+        """Whether a chain came a fair part of the way that the best one came."""
+        gained = (self.begun - self.cost).nan_to_num(0.0)
+        return bool(gained[chain] >= _FAIR * gained.max())
 
     def settle(self) -> None:
         """Let the other starts of a model rest once its best one has converged and a second agrees with it."""
@@ -463,7 +470,7 @@ class _Search:
             agree = len(rows) - len(apart) >= 2 and not (len(fresh) and self._several(rows))
             if agree or not bool(self.finished[rows].all()):
                 continue
-            if len(fresh) and (self._several(rows) or not self._behind(rows[0], _RESERVE)):
+            if len(fresh) and (not self._behind(rows[0], _RESERVE) or (self._several(rows) and self._promising(rows[0]))):
                 self.finished[fresh] = False
                 continue
             if self.restarted[model] or self._behind(rows[0], 1.0):
