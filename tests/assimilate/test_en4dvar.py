@@ -131,6 +131,19 @@ def test_that_a_model_is_fitted_in_company_as_it_is_alone() -> None:
         torch.testing.assert_close(fitted(prior((model,)), batch).fits[0].mean, together[model].mean, rtol=0.0, atol=1e-7)
 
 
+def test_that_a_search_that_begins_at_the_answer_with_its_nuisances_stays_there() -> None:
+    belief, batch = prior(("nhkv",)), experiments(3, nuisance=BOTH)
+    fit = fitted(belief, batch).fits[0]
+    assert float(fit.nuisances.abs().max()) > 0.1
+    said: dict[bool, list[str]] = {True: [], False: []}
+    for known, lines in said.items():
+        begin = {"starts": [torch.stack((fit.mean, fit.mean))], "nuisances": [fit.nuisances] if known else None}
+        again = assimilate(belief, batch, LinearSimulator(), seed=2, options=OPTIONS, progress=lines.append, **begin).fits[0]
+        assert again.cost == pytest.approx(fit.cost, abs=1e-6)
+    gradient = {known: float(lines[0].split()[-1]) for known, lines in said.items()}
+    assert gradient[True] < 1e-3 < 0.1 < gradient[False]
+
+
 def test_that_repeats_count_as_often_as_they_were_made() -> None:
     """Repeats of one curve, or the same curves as experiments of one repeat each."""
     batch = experiments(3, noise=CORRELATED)
