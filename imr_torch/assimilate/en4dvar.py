@@ -36,7 +36,7 @@ _LONGEST_STEP = 4.0  # prior standard deviations
 _SIDE = 1e-4  # prior standard deviations by which nuisances are moved for their sensitivity
 _NEAR = 1.0  # posterior standard deviations from a minimum at which a chain keeps its leader
 _RESTART = 0.25  # prior standard deviations
-_AWAY = 10.0  # posterior standard deviations
+_AWAY = (10.0, 3.0)  # posterior standard deviations by which a first and a second restart are away
 _FAIR = 0.2  # share of the best chain's gain from which a model with several minima is given all its starts
 _AHEAD = 300  # bubbles for whose sake it pays to take the neighbourhoods of all trial steps along, and save a call
 _RESERVE = 10.0  # times ``hopeless`` by which a model may lag and still have its other starts sent out
@@ -143,13 +143,13 @@ def _antithetic(members: int, size: int, source: torch.Generator) -> Tensor:
     return torch.cat((half, -half)) * (members / 2) ** 0.5
 
 
-def _around(chol: Tensor, source: torch.Generator) -> Tensor:
-    """A ``d`` perturbation of ten posterior standard deviations (``chol``, ``d x d``), or a quarter of the prior's if smaller.
+def _around(chol: Tensor, source: torch.Generator, away: float = _AWAY[0]) -> Tensor:
+    """A ``d`` perturbation of posterior standard deviations (``chol``, ``d x d``), or a quarter of the prior's if smaller.
 
     Where the data are sharp, a step on the prior's scale leads out of the minimum into whichever lies next to it.
     """
     noise = torch.randn(chol.shape[0], generator=source, dtype=torch.float64)
-    step = _AWAY * (chol @ noise)
+    step = away * (chol @ noise)
     return step * (_RESTART * noise.norm() / step.norm().clamp_min(1e-300)).clamp_max(1.0)
 
 
@@ -190,7 +190,7 @@ class _Search:
         self.led = torch.zeros(chains, dtype=torch.bool)  # whether a chain keeps its leader
         self.leader_gel, self.leader_nuisances = self.gel.clone(), self.nuisances.clone()
         self.finished = ~torch.isfinite(self.cost)  # a start that cannot be simulated does not set out
-        self.restarted = [False] * len(belief.models)
+        self.restarts = [0] * len(belief.models)
         self.source = source
         self.gradient = torch.full((chains,), torch.inf, dtype=torch.float64)
         self.iterations = torch.zeros(chains, dtype=torch.long)
@@ -461,7 +461,7 @@ class _Search:
                 self.finished[rows] = True
 
     def restart(self) -> None:
-        """Send starts out that were held back; once per model, search again near its best point where starts disagree."""
+        """Send starts out that were held back; where starts disagree, search again near the best point, then nearer."""
         for model in range(len(self.belief.models)):
             rows = torch.nonzero(self.model == model)[:, 0]
             rows = rows[torch.argsort(self.cost[rows])]
@@ -473,11 +473,12 @@ class _Search:
             if len(fresh) and (not self._behind(rows[0], _RESERVE) or (self._several(rows) and self._promising(rows[0]))):
                 self.finished[fresh] = False
                 continue
-            if self.restarted[model] or self._behind(rows[0], 1.0):
+            if self.restarts[model] == len(_AWAY) or self._behind(rows[0], 1.0):
                 continue
-            self.restarted[model] = True
+            away = _AWAY[self.restarts[model]]
+            self.restarts[model] += 1
             free = len(self.belief.models[model].names)
-            noise = torch.stack([_around(self.chol[rows[0], :free, :free], self.source) for _ in apart])
+            noise = torch.stack([_around(self.chol[rows[0], :free, :free], self.source, away) for _ in apart])
             self.gel[apart] = self.gel[rows[0]].clone() + torch.nn.functional.pad(noise, (0, self.size - free))
             self.nuisances[apart] = self.nuisances[rows[0]].clone()
             self.cost[apart] = self._cost_alone(self.model[apart], self.gel[apart], self.nuisances[apart])

@@ -98,7 +98,7 @@ def fit_null(
         warnings.simplefilter("ignore", ConvergenceWarning)
         rough = assimilate(belief, batch, PolytropicSimulator(simulator.conditions), seed=seed, options=_ROUGH).fits[0]
     spread = _APART * torch.randn(2, len(rough.mean), generator=generator(child(seed, "null")), dtype=torch.float64)
-    starts = torch.cat((rough.mean[None], rough.mean + spread[:1]))
+    starts = torch.cat((rough.mean[None], rough.mean + spread))
     return assimilate(belief, batch, simulator, seed=seed, starts=[starts], progress=progress).fits[0]
 
 
