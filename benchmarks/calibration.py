@@ -22,7 +22,6 @@ import matplotlib.pyplot as plt
 import torch
 from botorch.utils.sampling import draw_sobol_samples
 
-from imr_torch.assimilate import EnsembleOptions
 from imr_torch.calibration import (
     Arrangement,
     Replicate,
@@ -43,7 +42,7 @@ DESIGNS = {"stiff-pa": (900.0, 0.28), "soft-pa": (400.0, 0.22)}
 SIMULATORS = {"polytropic": PolytropicSimulator, "full": TransportSimulator}
 UNCERTAIN = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)
 VARIANTS = ("default", "quick", "nuisances", "halved-noise", "tempered")
-_QUICK = EnsembleOptions(starts=2, scouts=64)  # with fewer draws: for means over many designs, where each need not be exact
+_QUICK = 64  # draws: for means over many designs, where each need not be exact
 ANSWERS = {"gaussian": "Gaussian answer", "reported": "what is reported", "weighed": "weighed draws"}
 LEVELS = (0.5, 0.9)
 SEED = 0
@@ -74,7 +73,7 @@ class Job:
         """What is calibrated."""
         wrong = {"halved-noise": self._overconfident, "tempered": self._tempered}.get(self.variant)
         whole = Arrangement(reference_case(self.case).prior, self.design, self.plan, learn=wrong)
-        return replace(whole, samples=64, options=_QUICK) if self.variant == "quick" else whole
+        return replace(whole, samples=_QUICK) if self.variant == "quick" else whole
 
     def _overconfident(self, experiment: Experiment) -> ExperimentBatch:
         return ExperimentBatch((experiment,), replace(self.plan.noise, scale=0.5 * self.plan.noise.scale))
