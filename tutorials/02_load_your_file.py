@@ -72,7 +72,7 @@ except InputDataError as error:
 # have heat and vapour transport by default; `simulator=PolytropicSimulator()` gives a quick look, and a biased one.
 
 # %%
-prior = wide_prior(["nhkv", "gen_qkv"])
+prior = wide_prior(["nhkv"] if SMOKE else ["nhkv", "gen_qkv"])
 options = EnsembleOptions(members=8, scouts=32, starts=2) if SMOKE else None
 chosen = traces.select(["shot_1"]) if SMOKE else traces
 result = characterize(chosen, prior=prior, estimate_noise=not SMOKE, options=options)
