@@ -57,7 +57,7 @@ class EnsembleOptions:
         agreement: tolerance of the cost difference between the two best starts, nats.
         hopeless: a start rests, unconverged, once its cost less what its gradient promises is worse than the best cost of
             any model by more than this, nats; never when not given. When given, models race: the best start of each sets
-            out, and a second follows only where it arrives not too far behind; of more than two, all follow even from afar.
+            out, and a second follows where it arrives not too far behind; of more than two, all follow from farther behind too.
     """
 
     members: int | None = None
@@ -144,7 +144,7 @@ def _antithetic(members: int, size: int, source: torch.Generator) -> Tensor:
 
 
 def _around(chol: Tensor, source: torch.Generator, away: float = _AWAY[0]) -> Tensor:
-    """A ``d`` perturbation of posterior standard deviations (``chol``, ``d x d``), or a quarter of the prior's if smaller.
+    """A ``d`` perturbation, ``away`` posterior standard deviations (``chol``, ``d x d``) or, if less, a quarter of the prior's.
 
     Where the data are sharp, a step on the prior's scale leads out of the minimum into whichever lies next to it.
     """

@@ -1,10 +1,11 @@
 """Which effect causes the gap: evidence over equivalence classes, none and other, and whether the winner is enough.
 
-All effects are fitted in one batch, from two starts each; one that the best has left behind rests as soon as what it may
-still reach lags. (Scores at the null fit rank small effects well and large ones badly, so they only choose from where to
-start.) The evidence is that of the Gaussian approximation. A closed library always names somebody, so the winner must also
-be adequate: the gap test at its own fit gives ``p_ad``, and "other" is weighed by how often an unknown effect hides behind a
-known one, and by the bound of Sellke, Bayarri & Berger (Am. Stat. 55, 2001) on what it could gain, ``1/(-e p ln p)``.
+All effects are fitted in one batch, from two starts or, where an effect has several minima, from more; one that the best has
+left behind rests as soon as what it may still reach lags. (Scores at the null fit rank small effects well and large ones
+badly, so they only choose from where to start.) The evidence is that of the Gaussian approximation. A closed library always
+names somebody, so the winner must also be adequate: the gap test at its own fit gives ``p_ad``, and "other" is weighed by
+how often an unknown effect hides behind a known one, and by the bound of Sellke, Bayarri & Berger (Am. Stat. 55, 2001) on
+what it could gain, ``1/(-e p ln p)``.
 """
 
 import math

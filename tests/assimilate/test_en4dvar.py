@@ -240,17 +240,20 @@ class WavySimulator(LinearSimulator):
 
 
 def test_that_in_a_race_the_other_starts_of_a_model_with_several_minima_follow() -> None:
-    """The best two starts agree on a poor minimum; the third, which looks worst, leads to a better one."""
-    belief, batch = prior(("nhkv",)), experiments(3)
-    rows = tensor((1.7, 0.0), (1.75, 0.0), (0.4, 0.0))
+    """The first start arrives in a poor minimum, far behind another model; the last, which looks worst, leads to a better one."""
+    belief, batch = prior(("nhkv", "gen_qkv")), experiments(3)
+    good = tensor((0.2, 0.0), (0.3, 0.0))
+    rows = tensor((1.7, 0.0, 0.0), (1.75, 0.0, 0.0), (0.4, 0.0, 0.0))
 
     def cost(starts: Tensor) -> float:
-        options = EnsembleOptions(hopeless=6.0)
-        return assimilate(belief, batch, WavySimulator(), seed=1, options=options, starts=[starts]).fits[0].cost
+        options = EnsembleOptions(hopeless=0.1)
+        found = assimilate(belief, batch, WavySimulator(), seed=1, options=options, starts=[good, starts])
+        assert found["gen_qkv"].cost - found["nhkv"].cost > 0.1  # further behind than a second start may lag
+        return found["gen_qkv"].cost
 
     best = cost(rows[[2, 2]])
     assert cost(rows[:2]) > best + 1.0
-    assert cost(rows) == pytest.approx(best, abs=1e-6)
+    assert cost(rows) == pytest.approx(best, abs=1e-3)
 
 
 # ---------------------------------------------------------------- certificates, both ways
