@@ -1,0 +1,100 @@
+"""Which chains of a search are under way: who sets out, who rests, and who is sent out again.
+
+Two starts of a model must agree before its minimum is believed. Where many models race (``EnsembleOptions.hopeless``), most
+are left behind long before that matters, and their chains rest. Goes in: a search between two iterations. The numerics are
+no business of this file.
+"""
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate.search import Search, around
+
+_AWAY = (10.0, 3.0)  # posterior standard deviations by which a first and a second restart are away
+_FAIR = 0.2  # share of the best chain's gain from which a model with several minima is given all its starts
+_RESERVE = 10.0  # times ``hopeless`` by which a model may lag and still have its other starts sent out
+
+
+class Race:
+    """The chains of a search under way; those held back by ``hopeless`` are so from the first.
+
+    Args:
+        search: whose chains they are; which of them are finished is changed here.
+    """
+
+    def __init__(self, search: Search) -> None:
+        self._search = search
+        self._begun = search.cost.clone()
+        self._restarts = [0] * len(search.belief.models)
+        self._hold_back()
+
+    def referee(self) -> None:
+        """After an iteration: let chains rest that need not go on, and send others out."""
+        self._give_up()
+        self._settle()
+        self._restart()
+
+    def _hold_back(self) -> None:
+        """In a race of models only the best start of each sets out; the others wait for it to arrive."""
+        search = self._search
+        if search.options.hopeless is None:
+            return
+        for model in range(len(search.belief.models)):
+            rows = torch.nonzero(search.model == model)[:, 0]
+            search.finished[rows[torch.argsort(search.cost[rows])[1:]]] = True
+
+    def _give_up(self) -> None:
+        """Let starts rest whose model the best one has left behind."""
+        search = self._search
+        if search.options.hopeless is None:
+            return
+        promised = search.cost - 2.0 * search.gradient.clamp_max(1e6).square()  # Gauss-Newton promises a quarter of that
+        search.finished |= promised > search.cost.min() + search.options.hopeless
+
+    def _behind(self, chain: Tensor, times: float) -> bool:
+        """Whether the best has left a chain behind by more than so many times ``hopeless``."""
+        return self._search.options.hopeless is not None and bool(
+            self._search.cost[chain] > self._search.cost.min() + times * self._search.options.hopeless
+        )
+
+    def _several(self, rows: Tensor) -> bool:
+        """Whether a racing model was given starts for several minima: that two of them agree says little of the others."""
+        return self._search.options.hopeless is not None and len(rows) > 2
+
+    def _promising(self, chain: Tensor) -> bool:
+        """Whether a chain came a fair part of the way that the best one came."""
+        gained = (self._begun - self._search.cost).nan_to_num(0.0)
+        return bool(gained[chain] >= _FAIR * gained.max())
+
+    def _settle(self) -> None:
+        """Let the other starts of a model rest once its best one has converged and a second agrees with it."""
+        search = self._search
+        for model in range(len(search.belief.models)):
+            rows = torch.nonzero(search.model == model)[:, 0]
+            agree = search.cost[rows] < search.cost[rows].min() + search.options.agreement
+            sure = agree & (search.gradient[rows] < search.options.gradient) & search.finished[rows]
+            if int(sure.sum()) >= 2 and not self._several(rows):
+                search.finished[rows] = True
+
+    def _restart(self) -> None:
+        """Send starts out that were held back; where starts disagree, search again near the best point, then nearer."""
+        search = self._search
+        for model in range(len(search.belief.models)):
+            rows = torch.nonzero(search.model == model)[:, 0]
+            rows = rows[torch.argsort(search.cost[rows])]
+            apart = rows[search.cost[rows] > search.cost[rows[0]] + search.options.agreement]
+            fresh = apart[(search.iterations[apart] == 0) & torch.isfinite(search.cost[apart])]
+            agree = len(rows) - len(apart) >= 2 and not (len(fresh) and self._several(rows))
+            if agree or not bool(search.finished[rows].all()):
+                continue
+            if len(fresh) and (not self._behind(rows[0], _RESERVE) or (self._several(rows) and self._promising(rows[0]))):
+                search.finished[fresh] = False
+                continue
+            if self._restarts[model] == len(_AWAY) or self._behind(rows[0], 1.0):
+                continue
+            away = _AWAY[self._restarts[model]]
+            self._restarts[model] += 1
+            free = len(search.belief.models[model].names)
+            noise = torch.stack([around(search.chol[rows[0], :free, :free], search.source, away) for _ in apart])
+            near = search.gel[rows[0]] + torch.nn.functional.pad(noise, (0, search.size - free))
+            search.send(apart, near, search.nuisances[rows[0]])

@@ -1,0 +1,417 @@
+"""The chains of an ensemble 4D-Var, several to a model, and one Gauss-Newton iteration of them.
+
+All models x starts x members x experiments are stacked into one call of the simulator an iteration. The ensemble advances in
+lock step with its centre, so that its differences are the solver's own sensitivities. Close to a minimum a chain also keeps
+its *leader*, the point whose solution decides on the steps of all others: the cost is then a smooth function, equal to itself
+from iteration to iteration and between starts, where solves that each decide for themselves leave some 1e-4 in R*.
+Which chains are under way is decided elsewhere (:mod:`imr_torch.assimilate.race`).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
+from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
+from imr_torch.errors import ConvergenceError, InputDataError, ShapeError
+from imr_torch.material import Belief
+from imr_torch.observe import ExperimentBatch, predict
+from imr_torch.random import child, generator
+from imr_torch.simulate import Simulator
+
+_DAMPINGS = (0.0, 1.0, 30.0)  # tried together, times the current damping
+_STUCK = 1e4  # damping at which nothing lowers the cost any more
+_LONGEST_STEP = 4.0  # prior standard deviations
+_SIDE = 1e-4  # prior standard deviations by which nuisances are moved for their sensitivity
+_NEAR = 1.0  # posterior standard deviations from a minimum at which a chain keeps its leader
+_RESTART = 0.25  # prior standard deviations
+_BESIDE = 10.0  # posterior standard deviations between an earlier optimum and the starts about it
+_AHEAD = 300  # bubbles for whose sake it pays to take the neighbourhoods of all trial steps along, and save a call
+
+
+@dataclass(frozen=True)
+class EnsembleOptions:
+    """How the assimilation searches.
+
+    Args:
+        members: ensemble size, even, in opposite pairs; when not given, one for each free parameter, on one side of it,
+            which is as good while ``spread`` is small.
+        scouts: prior draws from which the starts are chosen.
+        starts: independent searches per model; two or more, so that they can agree.
+        iterations: most Gauss-Newton iterations.
+        spread: size of the ensemble in posterior standard deviations.
+        gradient: tolerance of the whitened gradient; 1e-3 leaves 5e-7 nats.
+        agreement: tolerance of the cost difference between the two best starts, nats.
+        hopeless: a start rests, unconverged, once its cost less what its gradient promises is worse than the best cost of
+            any model by more than this, nats; never when not given. When given, models race: the best start of each sets
+            out, and a second follows where it arrives not too far behind; of more than two, all follow from farther behind too.
+    """
+
+    members: int | None = None
+    scouts: int = 192
+    starts: int = 3
+    iterations: int = 60
+    spread: float = 1e-4
+    gradient: float = 1e-3
+    agreement: float = 0.1
+    hopeless: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.members is not None and (self.members < 2 or self.members % 2):
+            raise InputDataError(f"EnsembleOptions.members is {self.members}; expected an even number >= 2.")
+        if not 2 <= self.starts <= self.scouts:
+            raise InputDataError(f"EnsembleOptions needs 2 <= starts <= scouts, got {self.starts} and {self.scouts}.")
+        if not 0.0 < self.spread <= 2.0 or self.iterations < 1:
+            raise InputDataError(f"EnsembleOptions: spread {self.spread} must be in (0, 2], iterations {self.iterations} >= 1.")
+
+
+def _antithetic(members: int, size: int, source: torch.Generator) -> Tensor:
+    """``members x size`` anomalies with mean 0 and second moment exactly the identity, in opposite pairs."""
+    half = torch.linalg.qr(torch.randn(members // 2, size, generator=source, dtype=torch.float64)).Q
+    return torch.cat((half, -half)) * (members / 2) ** 0.5
+
+
+def around(chol: Tensor, source: torch.Generator, away: float) -> Tensor:
+    """A ``d`` perturbation, ``away`` posterior standard deviations (``chol``, ``d x d``) or, if less, a quarter of the prior's.
+
+    Where the data are sharp, a step on the prior's scale leads out of the minimum into whichever lies next to it.
+    """
+    noise = torch.randn(chol.shape[0], generator=source, dtype=torch.float64)
+    step = away * (chol @ noise)
+    return step * (_RESTART * noise.norm() / step.norm().clamp_min(1e-300)).clamp_max(1.0)
+
+
+class Search:
+    """The state of all chains (models x starts) and one Gauss-Newton iteration of them."""
+
+    def __init__(
+        self,
+        belief: Belief,
+        batch: ExperimentBatch,
+        simulator: Simulator,
+        options: EnsembleOptions,
+        seed: int,
+        near: Assimilation | None,
+        starts: Sequence[Tensor] | None,
+        nuisances: Sequence[Tensor] | None,
+    ) -> None:
+        self.belief, self.batch, self.simulator, self.options = belief, batch, simulator, options
+        self.sds = batch.nuisance_sds
+        self.columns = torch.nonzero((self.sds > 0.0).any(0))[:, 0]  # nuisances that anything is uncertain about
+        self.size = max(len(part.names) for part in belief.models)
+        source = generator(child(seed, "assimilate"))
+        if options.members is None:
+            self.anomalies = options.spread * torch.eye(self.size, dtype=torch.float64)
+        else:
+            self.anomalies = options.spread * _antithetic(options.members, self.size, source)
+        counts = torch.tensor([len(rows) for rows in starts] if starts else [options.starts] * len(belief.models))
+        self.model = torch.arange(len(belief.models)).repeat_interleave(counts)
+        if starts is not None:
+            self._start_at(starts, nuisances)
+        elif near is not None:
+            self._start_near(near, source)
+        else:
+            self._scout(source)
+        chains = len(self.model)
+        self.damping = torch.full((chains,), 1e-2, dtype=torch.float64)
+        self.chol = 0.5 * torch.eye(self.size, dtype=torch.float64).repeat(chains, 1, 1)
+        self.led = torch.zeros(chains, dtype=torch.bool)  # whether a chain keeps its leader
+        self.leader_gel, self.leader_nuisances = self.gel.clone(), self.nuisances.clone()
+        self.finished = ~torch.isfinite(self.cost)  # a start that cannot be simulated does not set out
+        self.source = source
+        self.gradient = torch.full((chains,), torch.inf, dtype=torch.float64)
+        self.iterations = torch.zeros(chains, dtype=torch.long)
+        self.members = self.failures = 0
+        self.equations: list[NormalEquations | None] = [None] * chains
+        self.around: dict[int, tuple[Tensor, Tensor]] = {}  # chain -> anomalies and predictions about where it stands
+
+    def _scout(self, source: torch.Generator) -> None:
+        """Start each model from the best of many prior draws that are not neighbours of each other."""
+        options, models, experiments = self.options, len(self.belief.models), self.batch.designs.shape[0]
+        draws = torch.randn(models, options.scouts, self.size, generator=source, dtype=torch.float64)
+        draws[:, 0] = 0.0
+        for i, part in enumerate(self.belief.models):
+            draws[i, :, len(part.names) :] = 0.0  # padding: controls that this model does not have
+        index = torch.arange(models)[:, None].expand(models, options.scouts)
+        still = torch.zeros(models, options.scouts, experiments, 3, dtype=torch.float64)
+        cost = self._cost_alone(index.reshape(-1), draws.reshape(-1, self.size), still.reshape(-1, experiments, 3))
+        cost = cost.reshape(models, options.scouts)
+        chosen = [self._distinct(i, draws[i], cost[i]) for i in range(models)]
+        self.gel = torch.cat([draws[i, rows] for i, rows in enumerate(chosen)])
+        self.cost = torch.cat([cost[i, rows] for i, rows in enumerate(chosen)])
+        self.nuisances = torch.zeros(len(self.model), experiments, 3, dtype=torch.float64)
+
+    def _start_at(self, starts: Sequence[Tensor], nuisances: Sequence[Tensor] | None) -> None:
+        """Start each model at given controls."""
+        free = [len(part.names) for part in self.belief.models]
+        if [rows.shape[1] for rows in starts] != free or min(len(rows) for rows in starts) < 2:
+            shapes = [tuple(rows.shape) for rows in starts]
+            raise ShapeError(f"starts has shapes {shapes}; expected two rows or more of {free} free parameters.")
+        self.gel = torch.cat([torch.nn.functional.pad(rows, (0, self.size - rows.shape[1])) for rows in starts])
+        if nuisances is None:
+            self.nuisances = torch.zeros(len(self.model), *self.sds.shape, dtype=torch.float64)
+        else:
+            self.nuisances = torch.stack([nuisances[i] for i in self.model.tolist()]).clone()
+        self.cost = self._cost_alone(self.model, self.gel, self.nuisances)
+
+    def _start_near(self, near: Assimilation, source: torch.Generator) -> None:
+        """Start each model at an earlier optimum and at perturbed copies of it."""
+        fits = [near[self.belief.keys[i]] for i in self.model.tolist()]
+        pad = torch.nn.functional.pad
+        noise = torch.stack([pad(around(fit.chol, source, _BESIDE), (0, self.size - len(fit.mean))) for fit in fits])
+        noise[:: self.options.starts] = 0.0
+        optimum = torch.stack([pad(fit.mean, (0, self.size - len(fit.mean))) for fit in fits])
+        self.nuisances = torch.stack([fit.nuisances for fit in fits])
+        failed = torch.isinf(self._cost_alone(self.model, optimum + noise, self.nuisances))
+        self.gel = torch.where(failed[:, None], optimum, optimum + noise)
+        self.cost = self._cost_alone(self.model, self.gel, self.nuisances)
+
+    def _distinct(self, model: int, draws: Tensor, cost: Tensor) -> Tensor:
+        """Rows of the best scouts, each at least half a prior standard deviation from the ones before."""
+        free = len(self.belief.models[model].names)
+        order = torch.argsort(cost)
+        order = order[torch.isfinite(cost[order])]
+        if order.numel() < 2:
+            raise ConvergenceError(
+                f"{self.belief.keys[model]}: {order.numel()} of {len(cost)} prior draws could be simulated; "
+                "check units and bounds of the prior and the designs."
+            )
+        picked: list[int] = []
+        for row in order.tolist():
+            gaps = [(draws[row, :free] - draws[other, :free]).norm() for other in picked]
+            if all(gap > 0.5 for gap in gaps):
+                picked.append(row)
+            if len(picked) == self.options.starts:
+                break
+        picked += [row for row in order.tolist() if row not in picked]
+        return torch.tensor((picked * self.options.starts)[: self.options.starts])
+
+    def _parameters(self, model: Tensor, gel: Tensor) -> Tensor:
+        """Shared parameter vectors of chains: ``C x ... x size`` controls of models ``C``."""
+        rows: list[Tensor] = [torch.empty(0)] * len(model)
+        for i, part in enumerate(self.belief.models):
+            for chain in torch.nonzero(model == i)[:, 0].tolist():
+                controls = part.mean + gel[chain][..., : len(part.names)] @ part.chol.mT
+                rows[chain] = part.parameters(controls)
+        return torch.stack(rows)
+
+    def _predict(self, model: Tensor, gel: Tensor, nuisances: Tensor, *, bundled: bool = False) -> Tensor:
+        """Predictions ``C x ... x E x T`` at controls ``C x ... x size`` and ``C x ... x E x 3``; the last ``...`` a bundle."""
+        shifts = nuisances * self.sds if self.columns.numel() else None
+        prediction = predict(self.simulator, self._parameters(model, gel), self.batch, shifts, bundled=bundled)
+        return torch.where(self.batch.mask, prediction, 0.0)
+
+    def _cost(self, gel: Tensor, nuisances: Tensor, prediction: Tensor) -> Tensor:
+        """Exact joint cost; leading shapes as in :meth:`_predict`."""
+        likelihood = self.batch.log_likelihood(prediction).sum(-1)
+        return 0.5 * gel.square().sum(-1) + 0.5 * nuisances.square().sum((-2, -1)) - likelihood
+
+    def _cost_alone(self, model: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
+        """The cost where every point is simulated for itself."""
+        return self._cost(gel, nuisances, self._predict(model, gel, nuisances))
+
+    def _predict_led(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
+        """Predictions ``C x N x E x T`` of ``N`` points of each chain, behind its leader or, where it has none, each alone."""
+        led = self.led[chains, None]
+        if not bool(led.any()):
+            return self._predict(self.model[chains], gel, nuisances)
+        gel_leader = torch.where(led[..., None], self.leader_gel[chains, None], gel)
+        nuisance_leader = torch.where(led[..., None, None], self.leader_nuisances[chains, None], nuisances)
+        pairs = torch.stack((gel_leader, gel), 2), torch.stack((nuisance_leader, nuisances), 2)
+        return self._predict(self.model[chains], *pairs, bundled=True)[:, :, 1]
+
+    def iterate(self) -> None:
+        """One Gauss-Newton iteration of the chains that are not finished."""
+        chains = torch.nonzero(~self.finished)[:, 0]
+        equations = self._linearise(chains)
+        self.gradient[chains] = equations.whitened_gradient
+        self.chol[chains] = equations.posterior_chol
+        for row, chain in enumerate(chains.tolist()):
+            self.equations[chain] = _row(equations, row)
+        self.finished[chains] = (self.gradient[chains] < self.options.gradient) & self.led[chains]
+        self.iterations[chains] += 1
+        moving = torch.nonzero(~self.finished[chains])[:, 0]
+        if moving.numel():
+            self._step(chains[moving], _row(equations, moving))
+            self._lead(chains[moving])
+
+    def _linearise(self, chains: Tensor) -> NormalEquations:
+        """Costs, ensemble sensitivities and gradients at the current points, each in the bundle of its leader."""
+        unknown = torch.tensor([chain for chain in chains.tolist() if chain not in self.around], dtype=torch.long)
+        if unknown.numel():
+            made = self._neighbourhoods(unknown, self.gel[unknown, None], self.nuisances[unknown, None])
+            self._keep(unknown, made[:, 0])
+        kept = [self.around[chain] for chain in chains.tolist()]
+        anomalies, prediction = (torch.stack(parts) for parts in zip(*kept, strict=True))
+        gel, nuisances = self.gel[chains], self.nuisances[chains]
+        self.cost[chains] = self._cost(gel, nuisances, prediction[:, 0])
+        return self._equations(gel, nuisances, anomalies, prediction)
+
+    def _keep(self, chains: Tensor, predictions: Tensor) -> None:
+        """Keep what is known about where chains stand now; predictions as in :meth:`_neighbourhoods`, one point a chain."""
+        anomalies = self.anomalies @ self.chol[chains].mT
+        self.around |= dict(zip(chains.tolist(), zip(anomalies, predictions, strict=True), strict=True))
+
+    def _forget(self, chains: Tensor) -> None:
+        """Forget what was known about where chains stood, or under which leader."""
+        for chain in chains.tolist():
+            self.around.pop(chain, None)
+
+    def _neighbourhoods(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
+        """Predictions ``C x P x (1 + N + S) x E x T`` about ``P`` points of each chain: there, members, moved nuisances."""
+        anomalies, led = (self.anomalies @ self.chol[chains].mT)[:, None], self.led[chains, None]
+        sides = torch.zeros(len(self.columns), 1, 3, dtype=torch.float64)
+        for i, column in enumerate(self.columns.tolist()):
+            sides[i, 0, column] = _SIDE
+        centre, own = gel[:, :, None], nuisances[:, :, None]
+        leader = torch.where(led[..., None], self.leader_gel[chains, None], gel)[:, :, None]
+        controls = (leader, centre, centre + anomalies, centre.expand(-1, -1, len(sides), -1))
+        leader = torch.where(led[..., None, None], self.leader_nuisances[chains, None], nuisances)[:, :, None]
+        shifted = (leader, own, own.expand(-1, -1, anomalies.shape[2], -1, -1), own + sides)
+        alone = not bool(led.any())  # then each centre leads itself
+        bundle = (torch.cat(parts[alone:], 2) for parts in (controls, shifted))
+        prediction = self._predict(self.model[chains], *bundle, bundled=True)[:, :, not alone :]
+        self.members += prediction[..., 0].numel()
+        self.failures += int((~torch.isfinite(prediction)).any(-1).sum())
+        return prediction
+
+    def _equations(self, gel: Tensor, nuisances: Tensor, anomalies: Tensor, prediction: Tensor) -> NormalEquations:
+        count = anomalies.shape[1]
+        centre, members, sides = prediction[:, 0], prediction[:, 1 : 1 + count], prediction[:, 1 + count :]
+        responses = (members - centre[:, None]).transpose(1, 2)  # C x E x N x T
+        by_gel = ensemble_sensitivity(anomalies[:, None], responses)
+        by_nuisance = torch.zeros(*centre.shape, 3, dtype=torch.float64)
+        for i, column in enumerate(self.columns.tolist()):
+            difference = (sides[:, i] - centre) / _SIDE
+            by_nuisance[..., column] = difference.nan_to_num()
+        slope = self._slope(centre)
+        gradients = (by_gel.mT @ slope[..., None])[..., 0].sum(-2), (by_nuisance.mT @ slope[..., None])[..., 0]
+        sd = self.batch.sd(centre)[..., None, :]
+        whitened = [self.batch.whiten(x.movedim(-1, 0), sd.movedim(-2, 0)).movedim(0, -1) for x in (by_gel, by_nuisance)]
+        return normal_equations(gel, nuisances, gradients, (whitened[0], whitened[1]))
+
+    def _slope(self, prediction: Tensor) -> Tensor:
+        """Gradient of the negative log likelihood over the prediction, ``C x E x T``."""
+        with torch.enable_grad():
+            point = prediction.detach().requires_grad_()
+            (slope,) = torch.autograd.grad(-self.batch.log_likelihood(point).sum(), point)
+        return slope
+
+    def _step(self, chains: Tensor, equations: NormalEquations) -> None:
+        """Try several dampings at once; take the best step if it lowers the cost."""
+        tried = torch.tensor(_DAMPINGS, dtype=torch.float64) * self.damping[chains, None]
+        steps = [equations.step(tried[:, i]) for i in range(len(_DAMPINGS))]
+        gel_step, nuisance_step = (torch.stack(parts, dim=1) for parts in zip(*steps, strict=True))
+        length = gel_step.norm(dim=-1, keepdim=True)
+        shorter = (_LONGEST_STEP / length.clamp_min(1e-300)).clamp_max(1.0)
+        gel = self.gel[chains, None] + shorter * gel_step
+        nuisances = self.nuisances[chains, None] + shorter[..., None] * nuisance_step
+        ahead = gel[..., 0].numel() * nuisances.shape[2] * (1 + len(self.anomalies) + len(self.columns)) <= _AHEAD
+        around = self._neighbourhoods(chains, gel, nuisances) if ahead else None
+        prediction = self._predict_led(chains, gel, nuisances) if around is None else around[:, :, 0]
+        cost = self._cost(gel, nuisances, prediction)
+        best, row = cost.min(dim=1)
+        better = best < self.cost[chains] - 0.01 * self.options.gradient**2  # a fiftieth of what the tolerance leaves
+        kept, at = chains[better], (torch.nonzero(better)[:, 0], row[better])
+        self.gel[kept], self.nuisances[kept], self.cost[kept] = gel[at], nuisances[at], best[better]
+        self._forget(kept)
+        if around is not None:
+            self._keep(kept, around[at])
+        eased = self.damping[kept] * torch.tensor(_DAMPINGS, dtype=torch.float64)[row[better]]
+        self.damping[kept] = torch.where(eased > 0.0, 0.3 * eased, 0.1 * self.damping[kept]).clamp(1e-6, 1e6)
+        self._unstick(chains[~better])
+
+    def _unstick(self, chains: Tensor) -> None:
+        """Damp chains that found no better point; then give them a leader, which smooths their cost; then let them rest."""
+        self.damping[chains] *= 100.0
+        stuck = chains[self.damping[chains] > _STUCK]
+        self.finished[stuck] = self.led[stuck]
+        self._follow_oneself(stuck)
+        self.damping[stuck] = 1e-2
+
+    def _follow_oneself(self, chains: Tensor) -> None:
+        """Make the current points of chains their leaders."""
+        self._forget(chains[self.led[chains]])  # one without a leader has led its own neighbourhood all along
+        self.led[chains] = True
+        self.leader_gel[chains], self.leader_nuisances[chains] = self.gel[chains], self.nuisances[chains]
+
+    def _lead(self, chains: Tensor) -> None:
+        """Near a minimum a chain takes the leader of another that is there already, or its own point, until it moves away."""
+        for chain in chains[self.led[chains] | (self.gradient[chains] < _NEAR)].tolist():
+            others = torch.nonzero(self.led & (self.model == self.model[chain]))[:, 0]
+            gaps = torch.linalg.solve_triangular(self.chol[chain], (self.leader_gel[others] - self.gel[chain]).mT, upper=False)
+            close = others[gaps.norm(dim=0) < _NEAR]
+            if not close.numel():
+                self._follow_oneself(torch.tensor([chain]))
+            elif not (close == chain).any():
+                first = close[0]
+                self._forget(torch.tensor([chain]))
+                self.led[chain] = True
+                self.leader_gel[chain], self.leader_nuisances[chain] = self.leader_gel[first], self.leader_nuisances[first]
+
+    def send(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> None:
+        """Set chains out anew: ``C x size`` controls of the gel, ``E x 3`` or ``C x E x 3`` nuisances."""
+        self.gel[chains], self.nuisances[chains] = gel, nuisances.clone()
+        self.cost[chains] = self._cost_alone(self.model[chains], self.gel[chains], self.nuisances[chains])
+        self.finished[chains] = ~torch.isfinite(self.cost[chains])
+        self.led[chains], self.damping[chains] = False, 1e-2
+        self._forget(chains)
+
+    def report(self) -> str:
+        """Costs and gradients of the best start of each model."""
+        words = []
+        for i, key in enumerate(self.belief.keys):
+            rows = torch.nonzero(self.model == i)[:, 0]
+            best = rows[self.cost[rows].argmin()]
+            words.append(f"{key} cost {float(self.cost[best]):.2f} gradient {float(self.gradient[best]):.1e}")
+        return ", ".join(words)
+
+    def fits(self) -> tuple[ModelFit, ...]:
+        """The best start of each model, with its certificate."""
+        best = torch.tensor([self._best(i) for i in range(len(self.belief.models))])
+        predictions = self._predict_led(best, self.gel[best, None], self.nuisances[best, None])[:, 0]
+        return tuple(self._fit(chain, prediction) for chain, prediction in zip(best.tolist(), predictions, strict=True))
+
+    def _best(self, model: int) -> int:
+        """The start of a model with the lowest cost; of equals, the one that converged furthest."""
+        rows = torch.nonzero(self.model == model)[:, 0]
+        same = rows[self.cost[rows] <= self.cost[rows].min() + self.options.agreement]
+        return int(same[self.gradient[same].argmin()])
+
+    def _fit(self, best: int, prediction: Tensor) -> ModelFit:
+        """A start as the fit of its model."""
+        part = self.belief.models[int(self.model[best])]
+        costs = self.cost[self.model == self.model[best]].sort().values
+        agreement = float(costs[1] - costs[0]) if bool(torch.isfinite(costs[0])) else math.inf
+        equations, free = self.equations[best], len(part.names)
+        if equations is None:  # no start could be simulated
+            response, nuisance_hessian = self.sds.new_zeros(*self.sds.shape, free), torch.eye(3, dtype=torch.float64)
+            nuisance_hessian = nuisance_hessian.expand(len(self.sds), 3, 3)
+        else:
+            response, nuisance_hessian = equations.reduced.nuisance_response[..., :free], equations.nuisance_hessian
+        gradient = float(self.gradient[best])
+        certificate = Certificate(
+            gradient,
+            agreement,
+            int(self.iterations[best]),
+            self.failures / max(self.members, 1),
+            gradient < self.options.gradient and agreement < self.options.agreement,
+        )
+        return ModelFit(
+            prior=part,
+            mean=self.gel[best, :free],
+            chol=self.chol[best, :free, :free],
+            nuisances=self.nuisances[best],
+            nuisance_response=response,
+            nuisance_chol=torch.linalg.cholesky(nuisance_hessian),
+            cost=float(self.cost[best]),
+            prediction=prediction,
+            certificate=certificate,
+        )
+
+
+def _row(equations: NormalEquations, rows: int | Tensor) -> NormalEquations:
+    return NormalEquations(*(getattr(equations, block.name)[rows] for block in fields(equations)))
