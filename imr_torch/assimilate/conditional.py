@@ -8,11 +8,11 @@ linearisation is not good enough to draw from. The result is a function of the g
 import torch
 from torch import Tensor
 
+from imr_torch.assimilate.cost import linearise, sides
 from imr_torch.observe import ExperimentBatch, displaced, predict
 from imr_torch.simulate import Simulator
 
 _EARLIEST = -0.5  # time from which bubbles can be simulated
-_SIDE = 1e-4  # prior standard deviations by which nuisances are moved for their sensitivity
 _LONGEST = 4.0  # prior standard deviations in one step
 
 
@@ -37,30 +37,16 @@ def conditional_nuisances(
     Returns:
         Nuisances and Cholesky factors, of the same shapes.
     """
-    columns = torch.nonzero((batch.nuisance_sds > 0.0).any(0))[:, 0]
-    sides = torch.zeros(1 + len(columns), 1, 3, dtype=guess.dtype)
-    sides[torch.arange(1, len(sides)), 0, columns] = _SIDE
-    points = guess[:, None] + sides
+    points = guess[:, None] + torch.cat((guess.new_zeros(1, 1, 3), sides(batch)))
     possible = possible_nuisances(points * batch.nuisance_sds, batch).all(1)
     shifts = torch.where(possible[:, None, :, None], points * batch.nuisance_sds, 0.0)
-    prediction = predict(simulator, parameters[:, None].expand(-1, len(sides), -1), batch, shifts, bundled=True)
+    prediction = predict(simulator, parameters[:, None].expand(-1, points.shape[1], -1), batch, shifts, bundled=True)
     prediction = torch.where(batch.mask, prediction, 0.0)
     known = possible & torch.isfinite(prediction).all(-1).all(1)
     prediction = torch.where(known[:, None, :, None], prediction, 0.5)
-    response = torch.zeros(*guess.shape, prediction.shape[-1], dtype=guess.dtype)  # n x E x 3 x T
-    response[:, :, columns] = ((prediction[:, 1:] - prediction[:, :1]) / _SIDE).transpose(1, 2)
-    centre = prediction[:, 0]
-    gradient = guess + (response @ _slope(centre, batch)[..., None])[..., 0]
-    white = batch.whiten(response.movedim(2, 0), batch.sd(centre)).movedim(0, 2)
-    root = torch.linalg.cholesky(white @ white.mT + torch.eye(3, dtype=guess.dtype))
-    step = -torch.cholesky_solve(gradient[..., None], root)[..., 0]
+    count = len(guess)
+    equations = linearise(batch, guess.new_zeros(count, 0), guess, guess.new_zeros(count, 0, 0), prediction)
+    root = torch.linalg.cholesky(equations.nuisance_hessian)
+    step = -torch.cholesky_solve(equations.nuisance_gradient[..., None], root)[..., 0]
     step = step * (_LONGEST / step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)
     return torch.where(known[..., None], guess + step, guess), torch.where(known[..., None, None], root, chol)
-
-
-def _slope(prediction: Tensor, batch: ExperimentBatch) -> Tensor:
-    """Gradient of the negative log likelihood over predictions ``n x E x T``."""
-    with torch.enable_grad():
-        point = prediction.detach().requires_grad_()
-        (slope,) = torch.autograd.grad(-batch.log_likelihood(point).sum(), point)
-    return slope

@@ -1,13 +1,11 @@
 """Importance sampling with the means to say whether it worked: one set of draws gives evidence, moments and a verdict.
 
-Draws ``v`` of a heavy-tailed proposal are weighed by the exact posterior; the tail of the weights is smoothed by a
-generalised Pareto distribution, whose shape ``k`` says whether the weights have a mean worth the name (Vehtari, Simpson,
-Gelman, Yao & Gabry, JMLR 25(72), 2024). Where they have not, a proposal is made anew from the draws so far as a mixture of
-kernels (West, JRSS B 55, 1993), with all of them weighed by the mixture of their proposals (Owen & Zhou, JASA 95, 2000).
+Draws ``v`` of a heavy-tailed proposal (:mod:`imr_torch.assimilate.proposals`) are weighed by the exact posterior; the tail of
+the weights is smoothed by a generalised Pareto distribution, whose shape ``k`` says whether the weights have a mean worth the
+name (Vehtari, Simpson, Gelman, Yao & Gabry, JMLR 25(72), 2024).
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,99 +13,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-_FREEDOM = 7  # degrees of freedom of the kernels: tails heavier than a Gaussian's, with moments up to the sixth
 _ENOUGH = 20.0  # effective samples, and a tenth of all, below which no estimate is leant on
-_WATCH = 0.5  # share of the wide kernel in a proposal made from draws
-_WIDE = 1.5  # its size, in standard deviations of the draws
-_WIDEST = 4.0  # most by which kernels are widened in one round
 _SHORTEST_TAIL = 5  # weights to which a generalised Pareto distribution can be fitted
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """A mixture of multivariate Student-t kernels of one shape and several sizes.
-
-    Args:
-        centres: ``J x d`` tensor.
-        weights: ``J`` tensor of their probabilities.
-        sizes: ``J`` tensor of factors on the scale.
-        chol: ``d x d`` lower triangular tensor, the common scale.
-    """
-
-    centres: Tensor
-    weights: Tensor
-    sizes: Tensor
-    chol: Tensor
-
-    @classmethod
-    def about(cls, mean: Tensor, chol: Tensor) -> "Proposal":
-        """A single kernel about ``mean`` (``d``) with scale ``chol`` (``d x d``)."""
-        one = torch.ones(1, dtype=mean.dtype)
-        return cls(mean[None], one, one, chol)
-
-    @classmethod
-    def through(cls, points: Tensor, log_weights: Tensor) -> "Proposal":
-        """Kernels on weighed points (``n x d``, ``n``), of the width of Silverman's rule (1986, equation 4.14).
-
-        One wide kernel about them all looks where no point was. Weights of which fewer than ten a dimension count are
-        tempered first, and the kernels widened in turn: such points lie at the edge of what was proposed, and what they are
-        drawn to lies beyond it.
-        """
-        size = points.shape[1]
-        weights, power = _tempered(log_weights, 10.0 * (size + 1))
-        mean = weights @ points
-        deviation = points - mean
-        chol = torch.linalg.cholesky((weights[:, None] * deviation).mT @ deviation)
-        width = (4.0 / ((size + 2) * float(kish(weights)))) ** (1.0 / (size + 4))
-        kept = weights > 0.0
-        sizes = torch.full((int(kept.sum()) + 1,), width, dtype=points.dtype)
-        sizes[-1] = _WIDE
-        shares = torch.cat(((1.0 - _WATCH) * weights[kept], weights.new_tensor([_WATCH])))
-        return cls(torch.cat((points[kept], mean[None])), shares, sizes, min(power**-0.5, _WIDEST) * chol)
-
-    def draw(self, count: int, source: torch.Generator) -> Tensor:
-        """``count x d`` independent draws."""
-        size = self.chol.shape[0]
-        normal = torch.randn(count, size, generator=source, dtype=torch.float64)
-        squares = torch.randn(count, _FREEDOM, generator=source, dtype=torch.float64).square().sum(1)
-        centre = torch.multinomial(self.weights, count, replacement=True, generator=source)
-        scale = self.sizes[centre] * (_FREEDOM / squares).sqrt()
-        return self.centres[centre] + (scale[:, None] * normal) @ self.chol.mT
-
-    def log_prob(self, points: Tensor) -> Tensor:
-        """Log density at ``n x d`` points: ``n`` tensor."""
-        size = self.chol.shape[0]
-        whiten = torch.linalg.inv(self.chol).mT
-        distance = torch.cdist(points @ whiten, self.centres @ whiten, compute_mode="donot_use_mm_for_euclid_dist")
-        square = (distance / self.sizes).square()
-        half = 0.5 * (_FREEDOM + size)
-        constant = math.lgamma(half) - math.lgamma(0.5 * _FREEDOM) - 0.5 * size * math.log(_FREEDOM * math.pi)
-        kernels = constant - self.chol.diagonal().log().sum() - half * torch.log1p(square / _FREEDOM)
-        kernels = kernels - size * self.sizes.log()
-        return torch.logsumexp(kernels + self.weights.log(), dim=1)
-
-
-def mixture_log_prob(proposals: Sequence[Proposal], counts: Sequence[int], points: Tensor) -> Tensor:
-    """Log density of all proposals together, each in proportion to its draws: ``n`` tensor at ``n x d`` points."""
-    shares = torch.tensor(counts, dtype=torch.float64).log() - math.log(sum(counts))
-    return torch.logsumexp(torch.stack([p.log_prob(points) for p in proposals]) + shares[:, None], dim=0)
 
 
 def kish(weights: Tensor) -> Tensor:
     """Effective sample size of weights of any scale (Kish 1965), a 0-d tensor."""
     return weights.sum().square() / weights.square().sum()
-
-
-def _tempered(log_weights: Tensor, least: float) -> tuple[Tensor, float]:
-    """Normalised weights, raised to the largest power up to 1 that leaves an effective sample size of ``least``; the power."""
-    low, high, power = 0.0, 1.0, 1.0
-    for _ in range(40):
-        enough = float(kish(torch.softmax(power * log_weights, dim=0))) >= least
-        if enough and power == 1.0:
-            break
-        low, high = (power, high) if enough else (low, power)
-        power = 0.5 * (low + high)
-    return torch.softmax(power * log_weights, dim=0), power
 
 
 def smooth(log_weights: Tensor) -> tuple[Tensor, float]:

@@ -14,8 +14,9 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+from imr_torch.assimilate.cost import joint_cost, linearise, sides
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
-from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
+from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.errors import ConvergenceError, InputDataError, ShapeError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, predict
@@ -25,7 +26,6 @@ from imr_torch.simulate import Simulator
 _DAMPINGS = (0.0, 1.0, 30.0)  # tried together, times the current damping
 _STUCK = 1e4  # damping at which nothing lowers the cost any more
 _LONGEST_STEP = 4.0  # prior standard deviations
-_SIDE = 1e-4  # prior standard deviations by which nuisances are moved for their sensitivity
 _NEAR = 1.0  # posterior standard deviations from a minimum at which a chain keeps its leader
 _RESTART = 0.25  # prior standard deviations
 _BESIDE = 10.0  # posterior standard deviations between an earlier optimum and the starts about it
@@ -100,7 +100,7 @@ class Search:
     ) -> None:
         self.belief, self.batch, self.simulator, self.options = belief, batch, simulator, options
         self.sds = batch.nuisance_sds
-        self.columns = torch.nonzero((self.sds > 0.0).any(0))[:, 0]  # nuisances that anything is uncertain about
+        self.sides = sides(batch)
         self.size = max(len(part.names) for part in belief.models)
         source = generator(child(seed, "assimilate"))
         if options.members is None:
@@ -200,18 +200,13 @@ class Search:
 
     def _predict(self, model: Tensor, gel: Tensor, nuisances: Tensor, *, bundled: bool = False) -> Tensor:
         """Predictions ``C x ... x E x T`` at controls ``C x ... x size`` and ``C x ... x E x 3``; the last ``...`` a bundle."""
-        shifts = nuisances * self.sds if self.columns.numel() else None
+        shifts = nuisances * self.sds if len(self.sides) else None
         prediction = predict(self.simulator, self._parameters(model, gel), self.batch, shifts, bundled=bundled)
         return torch.where(self.batch.mask, prediction, 0.0)
 
-    def _cost(self, gel: Tensor, nuisances: Tensor, prediction: Tensor) -> Tensor:
-        """Exact joint cost; leading shapes as in :meth:`_predict`."""
-        likelihood = self.batch.log_likelihood(prediction).sum(-1)
-        return 0.5 * gel.square().sum(-1) + 0.5 * nuisances.square().sum((-2, -1)) - likelihood
-
     def _cost_alone(self, model: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
         """The cost where every point is simulated for itself."""
-        return self._cost(gel, nuisances, self._predict(model, gel, nuisances))
+        return joint_cost(self.batch, gel, nuisances, self._predict(model, gel, nuisances))
 
     def _predict_led(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
         """Predictions ``C x N x E x T`` of ``N`` points of each chain, behind its leader or, where it has none, each alone."""
@@ -247,8 +242,8 @@ class Search:
         kept = [self.around[chain] for chain in chains.tolist()]
         anomalies, prediction = (torch.stack(parts) for parts in zip(*kept, strict=True))
         gel, nuisances = self.gel[chains], self.nuisances[chains]
-        self.cost[chains] = self._cost(gel, nuisances, prediction[:, 0])
-        return self._equations(gel, nuisances, anomalies, prediction)
+        self.cost[chains] = joint_cost(self.batch, gel, nuisances, prediction[:, 0])
+        return linearise(self.batch, gel, nuisances, anomalies, prediction)
 
     def _keep(self, chains: Tensor, predictions: Tensor) -> None:
         """Keep what is known about where chains stand now; predictions as in :meth:`_neighbourhoods`, one point a chain."""
@@ -263,42 +258,17 @@ class Search:
     def _neighbourhoods(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
         """Predictions ``C x P x (1 + N + S) x E x T`` about ``P`` points of each chain: there, members, moved nuisances."""
         anomalies, led = (self.anomalies @ self.chol[chains].mT)[:, None], self.led[chains, None]
-        sides = torch.zeros(len(self.columns), 1, 3, dtype=torch.float64)
-        for i, column in enumerate(self.columns.tolist()):
-            sides[i, 0, column] = _SIDE
         centre, own = gel[:, :, None], nuisances[:, :, None]
         leader = torch.where(led[..., None], self.leader_gel[chains, None], gel)[:, :, None]
-        controls = (leader, centre, centre + anomalies, centre.expand(-1, -1, len(sides), -1))
+        controls = (leader, centre, centre + anomalies, centre.expand(-1, -1, len(self.sides), -1))
         leader = torch.where(led[..., None, None], self.leader_nuisances[chains, None], nuisances)[:, :, None]
-        shifted = (leader, own, own.expand(-1, -1, anomalies.shape[2], -1, -1), own + sides)
+        shifted = (leader, own, own.expand(-1, -1, anomalies.shape[2], -1, -1), own + self.sides)
         alone = not bool(led.any())  # then each centre leads itself
         bundle = (torch.cat(parts[alone:], 2) for parts in (controls, shifted))
         prediction = self._predict(self.model[chains], *bundle, bundled=True)[:, :, not alone :]
         self.members += prediction[..., 0].numel()
         self.failures += int((~torch.isfinite(prediction)).any(-1).sum())
         return prediction
-
-    def _equations(self, gel: Tensor, nuisances: Tensor, anomalies: Tensor, prediction: Tensor) -> NormalEquations:
-        count = anomalies.shape[1]
-        centre, members, sides = prediction[:, 0], prediction[:, 1 : 1 + count], prediction[:, 1 + count :]
-        responses = (members - centre[:, None]).transpose(1, 2)  # C x E x N x T
-        by_gel = ensemble_sensitivity(anomalies[:, None], responses)
-        by_nuisance = torch.zeros(*centre.shape, 3, dtype=torch.float64)
-        for i, column in enumerate(self.columns.tolist()):
-            difference = (sides[:, i] - centre) / _SIDE
-            by_nuisance[..., column] = difference.nan_to_num()
-        slope = self._slope(centre)
-        gradients = (by_gel.mT @ slope[..., None])[..., 0].sum(-2), (by_nuisance.mT @ slope[..., None])[..., 0]
-        sd = self.batch.sd(centre)[..., None, :]
-        whitened = [self.batch.whiten(x.movedim(-1, 0), sd.movedim(-2, 0)).movedim(0, -1) for x in (by_gel, by_nuisance)]
-        return normal_equations(gel, nuisances, gradients, (whitened[0], whitened[1]))
-
-    def _slope(self, prediction: Tensor) -> Tensor:
-        """Gradient of the negative log likelihood over the prediction, ``C x E x T``."""
-        with torch.enable_grad():
-            point = prediction.detach().requires_grad_()
-            (slope,) = torch.autograd.grad(-self.batch.log_likelihood(point).sum(), point)
-        return slope
 
     def _step(self, chains: Tensor, equations: NormalEquations) -> None:
         """Try several dampings at once; take the best step if it lowers the cost."""
@@ -309,10 +279,10 @@ class Search:
         shorter = (_LONGEST_STEP / length.clamp_min(1e-300)).clamp_max(1.0)
         gel = self.gel[chains, None] + shorter * gel_step
         nuisances = self.nuisances[chains, None] + shorter[..., None] * nuisance_step
-        ahead = gel[..., 0].numel() * nuisances.shape[2] * (1 + len(self.anomalies) + len(self.columns)) <= _AHEAD
+        ahead = gel[..., 0].numel() * nuisances.shape[2] * (1 + len(self.anomalies) + len(self.sides)) <= _AHEAD
         around = self._neighbourhoods(chains, gel, nuisances) if ahead else None
         prediction = self._predict_led(chains, gel, nuisances) if around is None else around[:, :, 0]
-        cost = self._cost(gel, nuisances, prediction)
+        cost = joint_cost(self.batch, gel, nuisances, prediction)
         best, row = cost.min(dim=1)
         better = best < self.cost[chains] - 0.01 * self.options.gradient**2  # a fiftieth of what the tolerance leaves
         kept, at = chains[better], (torch.nonzero(better)[:, 0], row[better])

@@ -4,8 +4,8 @@ Each fit's Gaussian, with heavier tails, proposes draws that are weighed by the 
 out for each draw and each experiment by importance sampling from their conditional Gaussian, in opposite pairs, which
 cancels its skewness; the product over experiments is without bias (pseudo-marginal: Andrieu & Roberts, Ann. Stat. 37,
 2009). That Gaussian is at first the fit's, moved linearly with the gel, and after the first round each draw's own. Draws of
-all models are simulated in one call a round; a model whose Gaussian does not stand gets another round, with a proposal made
-from its weighed draws, until that one stands.
+all models are simulated in one call a round. A model whose Gaussian does not stand gets another round about the ridge that its
+posterior lies on (:mod:`~imr_torch.assimilate.ridge`), then with proposals made from all its weighed draws, until one stands.
 
 Weights tell of what the draws came near. Another mode far from all of them stays unseen here; against that stands the
 agreement of the starts in the fit's certificate.
@@ -19,7 +19,9 @@ from torch import Tensor
 
 from imr_torch.assimilate.conditional import conditional_nuisances, possible_nuisances
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
-from imr_torch.assimilate.importance import ImportanceSample, Proposal, mixture_log_prob, smooth
+from imr_torch.assimilate.importance import ImportanceSample, smooth
+from imr_torch.assimilate.proposals import Kernels, mixture_log_prob
+from imr_torch.assimilate.ridge import trace_ridges
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import child, generator
@@ -97,7 +99,7 @@ def weigh(
     if samples < 25 or rounds < 1:
         raise InputDataError(f"weigh: samples {samples} must be at least 25, and rounds {rounds} at least 1.")
     fits, batch = tuple(replace(fit, sample=None) for fit in assimilation.fits), assimilation.batch
-    proposals = {fit.model: [Proposal.about(fit.mean, fit.chol)] for fit in fits}
+    proposals: dict[str, list[Kernels]] = {fit.model: [Kernels.about(fit.mean, fit.chol)] for fit in fits}
     parts: dict[str, list[_Round]] = {fit.model: [] for fit in fits}
     found = {fit.model: fit for fit in fits}
     waiting = list(fits)
@@ -112,10 +114,14 @@ def weigh(
             progress(f"draws: round {number + 1}, " + ", ".join(f"{f.model} {found[f.model].trust}" for f in waiting))
         ahead = _ahead(list(found.values()), hopeless)
         waiting = [fit for fit in waiting if found[fit.model].verdict is Verdict.REFUSED and fit.model in ahead]
-        if not waiting:
+        if not waiting or number == rounds - 1:
             break
-        for fit in waiting:
-            proposals[fit.model].append(_again(proposals[fit.model], parts[fit.model]))
+        if number == 0:
+            made = trace_ridges(waiting, batch, simulator)
+        else:
+            made = [_again(proposals[fit.model], parts[fit.model]) for fit in waiting]
+        for fit, proposal in zip(waiting, made, strict=True):
+            proposals[fit.model].append(proposal)
     return replace(assimilation, fits=tuple(found[fit.model] for fit in fits))
 
 
@@ -131,7 +137,7 @@ def _ahead(fits: list[ModelFit], hopeless: float | None) -> set[str]:
 
 
 def _draw(
-    fit: ModelFit, batch: ExperimentBatch, proposal: Proposal, samples: int, seed: int, simulator: Simulator | None
+    fit: ModelFit, batch: ExperimentBatch, proposal: Kernels, samples: int, seed: int, simulator: Simulator | None
 ) -> _Draws:
     """Draws of the gel, and of the nuisances given the gel; those are placed anew for each gel if there is a simulator."""
     source, experiments = generator(seed), len(batch.experiments)
@@ -174,7 +180,7 @@ def _integrate(draws: _Draws, likelihood: Tensor) -> _Round:
     return _Round(draws.controls, by_experiment, kept)
 
 
-def _judge(fit: ModelFit, proposal: Proposal, part: _Round) -> ModelFit:
+def _judge(fit: ModelFit, proposal: Kernels, part: _Round) -> ModelFit:
     """The fit with the draws of one round for its sample."""
     log_proposal = proposal.log_prob(part.controls)
     weighed = part.likelihood + part.log_prior - log_proposal
@@ -187,7 +193,7 @@ def _judge(fit: ModelFit, proposal: Proposal, part: _Round) -> ModelFit:
         by_experiment=part.by_experiment,
         log_proposal=log_proposal,
         nuisances=part.nuisances,
-        centre=proposal.centres[-1],
+        centre=proposal.mean,
         spread=proposal.chol,
         first_shape=first,
         rounds=rounds,
@@ -195,8 +201,8 @@ def _judge(fit: ModelFit, proposal: Proposal, part: _Round) -> ModelFit:
     return replace(fit, sample=sample)
 
 
-def _again(proposals: list[Proposal], parts: list[_Round]) -> Proposal:
+def _again(proposals: list[Kernels], parts: list[_Round]) -> Kernels:
     """A proposal from all draws so far, weighed by the mixture of their proposals."""
     controls = torch.cat([part.controls for part in parts])
     target = torch.cat([part.likelihood + part.log_prior for part in parts])
-    return Proposal.through(controls, target - mixture_log_prob(proposals, [len(part.controls) for part in parts], controls))
+    return Kernels.through(controls, target - mixture_log_prob(proposals, [len(part.controls) for part in parts], controls))

@@ -6,15 +6,8 @@ import pytest
 import torch
 from scipy import stats
 
-from imr_torch.assimilate.importance import (
-    ImportanceSample,
-    Proposal,
-    kish,
-    largest_shape,
-    mixture_log_prob,
-    reliable,
-    smooth,
-)
+from imr_torch.assimilate.importance import ImportanceSample, kish, largest_shape, reliable, smooth
+from imr_torch.assimilate.proposals import Kernels, mixture_log_prob
 from imr_torch.random import generator
 from tests.linear import tensor
 
@@ -25,20 +18,20 @@ MEAN = tensor(1.0, -2.0)
 def test_that_one_kernel_is_a_student_t() -> None:
     points = torch.randn(50, 2, generator=generator(0), dtype=torch.float64)
     expected = stats.multivariate_t(MEAN.numpy(), (CHOL @ CHOL.mT).numpy(), df=7).logpdf(points.numpy())
-    torch.testing.assert_close(Proposal.about(MEAN, CHOL).log_prob(points), torch.as_tensor(expected))
+    torch.testing.assert_close(Kernels.about(MEAN, CHOL).log_prob(points), torch.as_tensor(expected))
 
 
 def test_that_a_mixture_is_the_mean_of_its_kernels() -> None:
     points, other = torch.randn(50, 2, generator=generator(0), dtype=torch.float64), tensor(0.0, 1.0)
-    both = Proposal(torch.stack((MEAN, other)), tensor(0.25, 0.75), tensor(1.0, 2.0), CHOL)
-    one, two = Proposal.about(MEAN, CHOL), Proposal.about(other, 2.0 * CHOL)
+    both = Kernels(torch.stack((MEAN, other)), tensor(0.25, 0.75), torch.stack((CHOL, 2.0 * CHOL)), MEAN, CHOL)
+    one, two = Kernels.about(MEAN, CHOL), Kernels.about(other, 2.0 * CHOL)
     expected = (0.25 * one.log_prob(points).exp() + 0.75 * two.log_prob(points).exp()).log()
     torch.testing.assert_close(both.log_prob(points), expected)
     torch.testing.assert_close(mixture_log_prob([one, two], [100, 300], points), expected)
 
 
 def test_that_draws_have_the_moments_of_the_density() -> None:
-    proposal = Proposal(tensor([0.0, 0.0], [4.0, 1.0]), tensor(0.5, 0.5), tensor(1.0, 2.0), CHOL)
+    proposal = Kernels(tensor([0.0, 0.0], [4.0, 1.0]), tensor(0.5, 0.5), torch.stack((CHOL, 2.0 * CHOL)), MEAN, CHOL)
     draws = proposal.draw(100_000, generator(1))
     inner = 2.5 * CHOL @ CHOL.mT * 7.0 / 5.0
     torch.testing.assert_close(draws.mean(0), tensor(2.0, 0.5), rtol=0.0, atol=0.03)
@@ -48,9 +41,9 @@ def test_that_draws_have_the_moments_of_the_density() -> None:
 def test_that_kernels_through_weighed_points_follow_the_weighed_density() -> None:
     """Uniform points weighed to a Gaussian: half are narrow kernels on them, half is one wide kernel."""
     points = 10.0 * torch.rand(4000, 2, generator=generator(2), dtype=torch.float64) - 5.0
-    proposal = Proposal.through(points, -0.5 * (points - tensor(1.0, 0.0)).square().sum(1))
+    proposal = Kernels.through(points, -0.5 * (points - tensor(1.0, 0.0)).square().sum(1))
     draws = proposal.draw(50_000, generator(3))
-    narrow = float(proposal.sizes[0])
+    narrow = float(proposal.chols[0, 0, 0] / proposal.chol[0, 0])
     variance = 0.5 * (1.0 + narrow**2 * 7.0 / 5.0) + 0.5 * 1.5**2 * 7.0 / 5.0
     assert narrow < 0.5
     torch.testing.assert_close(draws.mean(0), tensor(1.0, 0.0), rtol=0.0, atol=0.1)
@@ -61,7 +54,7 @@ def test_that_kernels_on_a_single_heavy_point_still_have_a_shape_and_reach_out()
     points = torch.randn(200, 2, generator=generator(4), dtype=torch.float64)
     log_weights = torch.zeros(200, dtype=torch.float64)
     log_weights[7] = 500.0
-    proposal = Proposal.through(points, log_weights)
+    proposal = Kernels.through(points, log_weights)
     assert float(kish(proposal.weights[:-1])) == pytest.approx(30.0, rel=0.01)
     assert float(proposal.chol.diagonal().min()) > 1.0
 
@@ -143,7 +136,7 @@ def test_that_reliable_weights_have_a_light_tail_and_a_tenth_of_them_counts(
 
 def gaussian_sample(scale: float, seed: int, count: int = 1000) -> ImportanceSample:
     """A posterior ``N((1, -2), C C^T)`` times ``e^-7``, with the proposal ``scale`` times as wide."""
-    proposal = Proposal.about(MEAN, scale * CHOL)
+    proposal = Kernels.about(MEAN, scale * CHOL)
     controls = proposal.draw(count, generator(seed))
     target = torch.distributions.MultivariateNormal(MEAN, scale_tril=CHOL).log_prob(controls) - 7.0
     prior = -0.5 * controls.square().sum(1) - math.log(2.0 * math.pi)

@@ -1,0 +1,113 @@
+"""What draws of a posterior are proposed from: kernels about the fit, along its ridge, or about draws weighed before.
+
+A proposal is made anew from the draws so far as a mixture of kernels (West, JRSS B 55, 1993), with all of them weighed by the
+mixture of their proposals (Owen & Zhou, JASA 95, 2000).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate.importance import kish
+
+_FREEDOM = 7  # degrees of freedom of the kernels: tails heavier than a Gaussian's, with moments up to the sixth
+_PAIRS = 1_000_000  # of points and kernels, in memory at once
+_WATCH = 0.5  # share of the wide kernel in a proposal made from draws
+_WIDE = 1.5  # its size, in standard deviations of the draws
+_WIDEST = 4.0  # most by which kernels are widened in one round
+
+
+@dataclass(frozen=True)
+class Kernels:
+    """A proposal for a posterior: a mixture of multivariate Student-t kernels.
+
+    Args:
+        centres: ``J x d`` tensor.
+        weights: ``J`` tensor of their probabilities.
+        chols: ``J x d x d`` lower triangular tensor of their scales.
+        mean: ``d`` tensor, mean of the posterior that the proposal is made for.
+        chol: ``d x d`` tensor, Cholesky factor of the covariance of that posterior.
+    """
+
+    centres: Tensor
+    weights: Tensor
+    chols: Tensor
+    mean: Tensor
+    chol: Tensor
+
+    @classmethod
+    def about(cls, mean: Tensor, chol: Tensor) -> "Kernels":
+        """A single kernel about ``mean`` (``d``) with scale ``chol`` (``d x d``)."""
+        return cls(mean[None], torch.ones(1, dtype=mean.dtype), chol[None], mean, chol)
+
+    @classmethod
+    def through(cls, points: Tensor, log_weights: Tensor) -> "Kernels":
+        """Kernels on weighed points (``n x d``, ``n``), of the width of Silverman's rule (1986, equation 4.14).
+
+        One wide kernel about them all looks where no point was. Weights of which fewer than ten a dimension count are
+        tempered first, and the kernels widened in turn: such points lie at the edge of what was proposed, and what they are
+        drawn to lies beyond it.
+        """
+        size = points.shape[1]
+        weights, power = _tempered(log_weights, 10.0 * (size + 1))
+        mean = weights @ points
+        deviation = points - mean
+        chol = torch.linalg.cholesky((weights[:, None] * deviation).mT @ deviation)
+        chol = min(power**-0.5, _WIDEST) * chol
+        width = (4.0 / ((size + 2) * float(kish(weights)))) ** (1.0 / (size + 4))
+        kept = weights > 0.0
+        chols = width * chol.expand(int(kept.sum()), -1, -1)
+        return cls(points[kept], weights[kept], chols, mean, chol).with_watch(_WATCH)
+
+    def with_watch(self, share: float) -> "Kernels":
+        """With one wide kernel about all, which looks where the others do not; it takes ``share`` of the probability."""
+        return Kernels(
+            centres=torch.cat((self.centres, self.mean[None])),
+            weights=torch.cat(((1.0 - share) * self.weights, self.weights.new_tensor([share]))),
+            chols=torch.cat((self.chols, _WIDE * self.chol[None])),
+            mean=self.mean,
+            chol=self.chol,
+        )
+
+    def draw(self, count: int, source: torch.Generator) -> Tensor:
+        """``count x d`` independent draws."""
+        size = self.centres.shape[1]
+        normal = torch.randn(count, size, generator=source, dtype=torch.float64)
+        squares = torch.randn(count, _FREEDOM, generator=source, dtype=torch.float64).square().sum(1, keepdim=True)
+        kernel = torch.multinomial(self.weights, count, replacement=True, generator=source)
+        deviation = normal * (_FREEDOM / squares).sqrt()
+        return self.centres[kernel] + (self.chols[kernel] @ deviation[..., None])[..., 0]
+
+    def log_prob(self, points: Tensor) -> Tensor:
+        """Log density at ``n x d`` points: ``n`` tensor."""
+        size = self.centres.shape[1]
+        half = 0.5 * (_FREEDOM + size)
+        constant = math.lgamma(half) - math.lgamma(0.5 * _FREEDOM) - 0.5 * size * math.log(_FREEDOM * math.pi)
+        heights = constant + self.weights.log() - self.chols.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        whiten = torch.linalg.inv(self.chols)
+        rows = []
+        for some in points.split(max(1, _PAIRS // len(self.centres))):
+            square = torch.einsum("jab,jnb->jna", whiten, some - self.centres[:, None]).square().sum(-1)
+            rows.append(torch.logsumexp(heights[:, None] - half * torch.log1p(square / _FREEDOM), dim=0))
+        return torch.cat(rows)
+
+
+def mixture_log_prob(proposals: Sequence[Kernels], counts: Sequence[int], points: Tensor) -> Tensor:
+    """Log density of all proposals together, each in proportion to its draws: ``n`` tensor at ``n x d`` points."""
+    shares = torch.tensor(counts, dtype=torch.float64).log() - math.log(sum(counts))
+    return torch.logsumexp(torch.stack([p.log_prob(points) for p in proposals]) + shares[:, None], dim=0)
+
+
+def _tempered(log_weights: Tensor, least: float) -> tuple[Tensor, float]:
+    """Normalised weights, raised to the largest power up to 1 that leaves an effective sample size of ``least``; the power."""
+    low, high, power = 0.0, 1.0, 1.0
+    for _ in range(40):
+        enough = float(kish(torch.softmax(power * log_weights, dim=0))) >= least
+        if enough and power == 1.0:
+            break
+        low, high = (power, high) if enough else (low, power)
+        power = 0.5 * (low + high)
+    return torch.softmax(power * log_weights, dim=0), power

@@ -1,0 +1,216 @@
+"""A proposal along a bent ridge, where the data leave one direction loose and bind the others to it.
+
+Two parameters that do much the same to R(t) (G and alpha, say) leave a posterior many times as long as it is wide, and within
+that length it bends. A Gaussian leaves it, and kernels about draws of that Gaussian never see its ends. So the ridge is
+followed step by step (continuation by pseudo-arclength: Keller 1977), the other controls and the nuisances being fitted at
+each point (a profile likelihood, as in Raue et al., Bioinformatics 25, 2009), until the profile has fallen by ``_DEEP`` on
+both sides. Kernels on the points, each along and as wide as the ridge is there, are the proposal.
+
+It need not be exact: every draw is weighed. Goes in: fits whose Gaussian did not stand.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate.conditional import possible_nuisances
+from imr_torch.assimilate.cost import joint_cost, linearise, sides
+from imr_torch.assimilate.fit import ModelFit
+from imr_torch.assimilate.proposals import Kernels
+from imr_torch.observe import ExperimentBatch, predict
+from imr_torch.simulate import Simulator
+
+_DEEP = 8.0  # nats by which the profile falls at the ends
+_ATTEMPTS = 24  # most points that are tried on either side of the optimum
+_SHORTEST = 1.0 / 16.0  # posterior standard deviations between points; the most is one
+_BENT = 1.0  # nats by which a point may lie off the straight line through the two before
+_PASSES = 4  # most Gauss-Newton steps at one point
+_NEAR = 0.3  # nats that the next step may promise where a point is taken for fitted
+_LOST = 3.0  # nats of that from which a point is no part of the ridge
+_SPREAD = 1e-4  # posterior standard deviations by which members are moved
+_OVERLAP = 0.7  # scale of a kernel along the ridge over the distance of its neighbours
+_WATCH = 0.1  # share of a wide kernel about all
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A point on a ridge.
+
+    Args:
+        gel: ``d`` tensor.
+        nuisances: ``E x 3`` tensor.
+        cost: of the joint cost's optimum at this place along the ridge, nats.
+        promised: nats by which the last step was to lower it, counted in ``cost`` already; infinite where a bubble failed.
+        hessian: ``d x d`` tensor, of the cost, nuisances eliminated.
+        nuisance_log_det: log determinant of the nuisances' own Hessian.
+    """
+
+    gel: Tensor
+    nuisances: Tensor
+    cost: float
+    promised: float
+    hessian: Tensor
+    nuisance_log_det: float
+
+
+class _Side:
+    """One side of a ridge as far as it was followed, from the optimum outwards.
+
+    Args:
+        fit: whose ridge it is.
+        direction: ``d`` tensor, in which the first step is taken; its length is the longest step.
+    """
+
+    def __init__(self, fit: ModelFit, direction: Tensor) -> None:
+        self.fit, self._longest = fit, float(direction.norm())
+        self._first, self._length = direction / self._longest, self._longest
+        hessian = torch.cholesky_inverse(fit.chol)
+        self.points = [_Point(fit.mean, fit.nuisances, fit.cost, 0.0, hessian, fit.nuisance_log_det)]
+        self._attempts = 0
+        self.ended = False
+
+    def ahead(self) -> tuple[_Point, Tensor]:
+        """Where the next point is expected, and the unit vector along the ridge there (``d``)."""
+        last = self.points[-1]
+        if len(self.points) == 1:
+            step = self._length * self._first
+            guess = replace(last, gel=last.gel + step, nuisances=last.nuisances + self.fit.nuisance_response @ step)
+            return guess, self._first
+        near = self.points[-3:]
+        gels, nuisances = torch.stack([p.gel for p in near]), torch.stack([p.nuisances for p in near])
+        places = torch.cat((gels.new_zeros(1), gels.diff(dim=0).norm(dim=1).cumsum(0)))
+        weights = _lagrange(places, places[-1] + self._length)
+        guess = replace(last, gel=weights @ gels, nuisances=torch.tensordot(weights, nuisances, 1))
+        return guess, torch.nn.functional.normalize(guess.gel - last.gel, dim=0)
+
+    def add(self, point: _Point, least: float) -> None:
+        """Take a fitted point for the next one, or try again nearer; ``least`` is the lowest cost on the whole ridge."""
+        self._attempts += 1
+        bent = self._bend(point)
+        if point.promised < _LOST and bent < _BENT:
+            self.points.append(point)
+            self._length = min(2.0 * self._length, self._longest) if bent < 0.1 * _BENT else self._length
+            self.ended = point.cost > least + _DEEP or self._attempts >= _ATTEMPTS
+        else:
+            self._length *= 0.5
+            self.ended = self._length < _SHORTEST * self._longest or self._attempts >= _ATTEMPTS
+
+    def _bend(self, point: _Point) -> float:
+        """How far off the straight line on a point lies, nats."""
+        last = self.points[-1].gel
+        before = self._first if len(self.points) == 1 else torch.nn.functional.normalize(last - self.points[-2].gel, dim=0)
+        off = point.gel - last - before * (before @ (point.gel - last))
+        return 0.5 * float(off @ point.hessian @ off)
+
+
+def _lagrange(places: Tensor, at: Tensor) -> Tensor:
+    """Weights of values at ``places`` by which their interpolating polynomial is evaluated."""
+    weights = torch.ones_like(places)
+    for i in range(len(places)):
+        others = torch.cat((places[:i], places[i + 1 :]))
+        weights[i] = ((at - others) / (places[i] - others)).prod()
+    return weights
+
+
+def trace_ridges(fits: list[ModelFit], batch: ExperimentBatch, simulator: Simulator) -> list[Kernels]:
+    """Follow the ridge of each fit to both sides, all of them together.
+
+    Args:
+        fits: Gaussian answers; not changed.
+        batch: the data.
+        simulator: makes the bubbles, a small bundle for each side and step.
+
+    Returns:
+        A proposal for each.
+    """
+    both: list[tuple[_Side, _Side]] = []
+    for fit in fits:
+        values, vectors = torch.linalg.eigh(fit.chol @ fit.chol.mT)
+        axis = values[-1].sqrt() * vectors[:, -1]
+        both.append((_Side(fit, -axis), _Side(fit, axis)))
+    while fronts := [(side, pair) for pair in both for side in pair if not side.ended]:
+        waiting = {number: side.ahead() for number, (side, _) in enumerate(fronts)}
+        fitted: dict[int, _Point] = {}
+        for _ in range(_PASSES):
+            points, along = zip(*waiting.values(), strict=True)
+            made = _step([fronts[number][0].fit for number in waiting], list(points), list(along), batch, simulator)
+            fitted |= dict(zip(waiting, made, strict=True))
+            waiting = {n: (fitted[n], way) for n, (_, way) in waiting.items() if _NEAR < fitted[n].promised < math.inf}
+            if not waiting:
+                break
+        for number, (side, pair) in enumerate(fronts):
+            side.add(fitted[number], min(p.cost for one in pair for p in one.points))
+    return [_kernels([*reversed(below.points), *above.points[1:]], below.fit) for below, above in both]
+
+
+def _kernels(points: list[_Point], fit: ModelFit) -> Kernels:
+    """A kernel on each point of a ridge, in order."""
+    if len(points) < 3:
+        return Kernels.about(fit.mean, fit.chol)
+    gels = torch.stack([p.gel for p in points])
+    steps = gels.diff(dim=0)
+    ways = torch.nn.functional.normalize(torch.cat((steps[:1], gels[2:] - gels[:-2], steps[-1:])), dim=1)
+    lengths = steps.norm(dim=1)
+    spacing = 0.5 * torch.cat((2.0 * lengths[:1], lengths[1:] + lengths[:-1], 2.0 * lengths[-1:]))
+    across = torch.stack([_across(way) for way in ways])  # J x d x (d - 1)
+    hessian = torch.stack([p.hessian for p in points])
+    inside = torch.linalg.inv(across.mT @ hessian @ across)
+    flat = across @ inside @ across.mT
+    line = ways[:, :, None] * ways[:, None, :]
+    chols = torch.linalg.cholesky(flat + (_OVERLAP * spacing).square()[:, None, None] * line)
+    cost = torch.tensor([p.cost + 0.5 * p.nuisance_log_det for p in points], dtype=torch.float64)
+    weights = torch.softmax(0.5 * torch.linalg.slogdet(inside).logabsdet + spacing.log() - cost, dim=0)
+    mean = weights @ gels
+    covariance = (weights[:, None] * (gels - mean)).mT @ (gels - mean) + (weights[:, None, None] * flat).sum(0)
+    return Kernels(gels, weights, chols, mean, torch.linalg.cholesky(covariance)).with_watch(_WATCH)
+
+
+def _across(way: Tensor) -> Tensor:
+    """``d x (d - 1)`` orthonormal columns across a unit vector."""
+    return torch.linalg.qr(way[:, None], mode="complete").Q[:, 1:]
+
+
+def _step(
+    fits: list[ModelFit], points: list[_Point], along: list[Tensor], batch: ExperimentBatch, simulator: Simulator
+) -> list[_Point]:
+    """A Gauss-Newton step across the ridge at each point, of each its fit and its direction along."""
+    size, moved = max(len(fit.mean) for fit in fits), sides(batch)
+    parameters, nuisances, anomalies = [], [], []
+    for fit, point in zip(fits, points, strict=True):
+        anomaly = torch.nn.functional.pad(_SPREAD * fit.chol.mT, (0, 0, 0, size - len(point.gel)))
+        here = point.gel.expand(1 + size + len(moved), -1).clone()
+        here[1 : 1 + size] += anomaly
+        own = point.nuisances.expand(len(here), -1, -1).clone()
+        own[1 + size :] += moved
+        parameters.append(fit.parameters(here))
+        nuisances.append(own)
+        anomalies.append(anomaly)
+    shifts = torch.stack(nuisances) * batch.nuisance_sds
+    possible = possible_nuisances(shifts, batch).flatten(1).all(1)
+    shifts = torch.where(possible[:, None, None, None], shifts, 0.0)
+    predictions = predict(simulator, torch.stack(parameters), batch, shifts if len(moved) else None, bundled=True)
+    predictions = torch.where(batch.mask, predictions, 0.0)
+    known = possible & torch.isfinite(predictions).flatten(1).all(1)
+    return [
+        _stepped(point, way, batch, anomaly, prediction) if ok else replace(point, promised=math.inf)
+        for point, way, anomaly, prediction, ok in zip(points, along, anomalies, predictions, known.tolist(), strict=True)
+    ]
+
+
+def _stepped(point: _Point, along: Tensor, batch: ExperimentBatch, anomalies: Tensor, prediction: Tensor) -> _Point:
+    """A point after its step, with the cost that the step promises."""
+    equations = linearise(batch, point.gel, point.nuisances, anomalies, prediction)
+    reduced, across = equations.reduced, _across(along)
+    gradient, hessian = across.mT @ reduced.gradient, across.mT @ reduced.hessian @ across
+    step = -torch.linalg.solve(hessian, gradient)
+    promised = -0.5 * float(gradient @ step) - 0.5 * float((equations.nuisance_gradient * reduced.nuisance_step).sum())
+    return _Point(
+        gel=point.gel + across @ step,
+        nuisances=point.nuisances + reduced.nuisance_step + reduced.nuisance_response @ (across @ step),
+        cost=float(joint_cost(batch, point.gel, point.nuisances, prediction[0])) - promised,
+        promised=promised,
+        hessian=reduced.hessian,
+        nuisance_log_det=float(reduced.nuisance_log_det),
+    )

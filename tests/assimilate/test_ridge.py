@@ -1,0 +1,58 @@
+"""Ridges: a bent posterior is covered to its ends, even where it folds back; failures end a side and no more."""
+
+import pytest
+import torch
+
+from imr_torch.assimilate import EnsembleOptions, Verdict, assimilate, weigh
+from imr_torch.assimilate.ridge import trace_ridges
+from imr_torch.observe import Nuisance
+from tests.curved import CurvedSimulator, quadrature
+from tests.linear import LinearSimulator, experiments, prior
+
+OPTIONS = EnsembleOptions(scouts=24)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("bend", [0.5, 1.5])
+def test_that_a_bent_posterior_is_covered_to_its_ends(bend: float, seed: int) -> None:
+    """G all but mute, so that its posterior is as wide as its prior, and mu bends along it, by up to ten times its width."""
+    simulator, batch = CurvedSimulator(bend, mute=0.05), experiments(3)
+    fit = weigh(assimilate(prior(("nhkv",)), batch, simulator, seed=seed, options=OPTIONS), simulator, seed=seed).fits[0]
+    truth, sample = quadrature(fit, batch, simulator, points=241), fit.sample
+    assert fit.verdict is Verdict.REPAIRED
+    assert sample.rounds <= 3
+    assert sample.effective_samples > 100.0
+    sds, found = (c.diagonal().sqrt() for c in (truth.covariance, sample.covariance))
+    assert bool(((sample.mean - truth.mean).abs() < 4.0 * sample.mean_error).all())
+    assert bool(((found - sds).abs() < 4.0 * sample.sd_error).all())
+    assert sample.log_evidence == pytest.approx(truth.log_evidence, abs=4.0 * sample.log_evidence_error)
+
+
+def test_that_the_proposal_for_a_gaussian_is_made_for_that_gaussian() -> None:
+    fits = assimilate(prior(("newtonian", "gen_qkv")), experiments(2), LinearSimulator(), seed=1, options=OPTIONS).fits
+    for fit, proposal in zip(fits, trace_ridges(list(fits), experiments(2), LinearSimulator()), strict=True):
+        torch.testing.assert_close(proposal.mean, fit.mean, atol=1e-2, rtol=0.0)
+        torch.testing.assert_close(proposal.chol @ proposal.chol.mT, fit.chol @ fit.chol.mT, rtol=0.02, atol=0.02)
+
+
+def test_that_nuisances_go_along_the_ridge() -> None:
+    """With each point's own nuisances the ridge is followed to where the profile is low, and weighing is content."""
+    nuisance = Nuisance(time_zero=0.2, rest_radius=0.3)
+    simulator, batch = CurvedSimulator(0.7, mute=0.1), experiments(2, nuisance=nuisance)
+    fits = assimilate(prior(("nhkv",)), batch, simulator, seed=1, options=OPTIONS)
+    (proposal,) = trace_ridges(list(fits.fits), batch, simulator)
+    assert float(proposal.weights[0]) < 2e-3
+    assert float(proposal.weights[-2]) < 2e-3
+    assert weigh(fits, simulator, seed=0).fits[0].sample.reliable
+
+
+def test_that_a_ridge_does_not_depend_on_company_and_failing_bubbles_end_one_side() -> None:
+    batch = experiments(2)
+    fits = assimilate(prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=OPTIONS).fits
+    (_, together), (alone,) = (trace_ridges(some, batch, LinearSimulator()) for some in (list(fits), [fits[1]]))
+    torch.testing.assert_close(together.centres, alone.centres)
+    top = float(fits[1].parameters(fits[1].mean)[0])
+    (one_sided,) = trace_ridges([fits[1]], batch, LinearSimulator(limit={"G": 1.001 * top}))
+    assert 3 < len(one_sided.centres) < len(alone.centres)
+    (none,) = trace_ridges([fits[1]], batch, LinearSimulator(fails=True))
+    torch.testing.assert_close(none.centres, fits[1].mean[None])
