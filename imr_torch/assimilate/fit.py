@@ -51,6 +51,8 @@ class Verdict(Enum):
 
 
 _SAME = 0.05  # nats between Gaussians: a mean a third of an sd off, or an sd 20 % off
+_ALL_BUT = 0.1  # posterior standard deviations, and nats between starts: what is left to gain is a hundredth of a nat
+_OUT = 20.0  # nats by which a model is out of the running
 _AGAIN = 0.1  # the same between two rounds, each with its error
 
 
@@ -81,6 +83,12 @@ class ModelFit:
     prediction: Tensor
     certificate: Certificate
     sample: ImportanceSample | None = None
+
+    def out_of_the_running(self, best: float) -> bool:
+        """Whether the minimum is all but found, and lies far above ``best``, another model's, nats."""
+        certificate = self.certificate
+        found = certificate.gradient < _ALL_BUT and certificate.agreement < _ALL_BUT
+        return found and self.cost > best + _OUT
 
     @property
     def model(self) -> str:
@@ -158,8 +166,13 @@ class Assimilation:
 
     @property
     def converged(self) -> bool:
-        """Whether every model's fit carries a clean certificate."""
-        return all(fit.certificate.converged for fit in self.fits)
+        """Whether every model's fit carries a clean certificate, or is so far behind that what is left of it cannot matter.
+
+        The fit of a model that is plainly wrong stalls on its large residuals before the gradient is within a tolerance that
+        is meant for a right one.
+        """
+        best = min(fit.cost for fit in self.fits)
+        return all(fit.certificate.converged or fit.out_of_the_running(best) for fit in self.fits)
 
     def __getitem__(self, model: str) -> ModelFit:
         return next(fit for fit in self.fits if fit.model == model)

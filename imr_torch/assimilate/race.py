@@ -49,7 +49,7 @@ class Race:
         if search.options.hopeless is None:
             return
         promised = search.cost - 2.0 * search.gradient.clamp_max(1e6).square()  # Gauss-Newton promises a quarter of that
-        search.finished |= promised > search.cost.min() + search.options.hopeless
+        search.finished |= (promised > search.cost.min() + search.options.hopeless) & ~search.bluntly
 
     def _behind(self, chain: Tensor, times: float) -> bool:
         """Whether the best has left a chain behind by more than so many times ``hopeless``."""

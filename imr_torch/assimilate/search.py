@@ -4,6 +4,9 @@ All models x starts x members x experiments are stacked into one call of the sim
 lock step with its centre, so that its differences are the solver's own sensitivities. Close to a minimum a chain also keeps
 its *leader*, the point whose solution decides on the steps of all others: the cost is then a smooth function, equal to itself
 from iteration to iteration and between starts, where solves that each decide for themselves leave some 1e-4 in R*.
+
+A frame next to a collapse sees the same radius before it and after, so the cost has a false minimum on either side of it.
+Chains that set out from scouts therefore leave those frames out until they are near a minimum (they are *blunt*).
 Which chains are under way is decided elsewhere (:mod:`imr_torch.assimilate.race`).
 """
 
@@ -19,7 +22,7 @@ from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
 from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.errors import ConvergenceError, InputDataError, ShapeError
 from imr_torch.material import Belief
-from imr_torch.observe import ExperimentBatch, predict
+from imr_torch.observe import Experiment, ExperimentBatch, collapse_time, predict
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 
@@ -84,6 +87,41 @@ def around(chol: Tensor, source: torch.Generator, away: float) -> Tensor:
     return step * (_RESTART * noise.norm() / step.norm().clamp_min(1e-300)).clamp_max(1.0)
 
 
+class _Blunt:
+    """The experiments without the frames next to collapses.
+
+    Args:
+        batch: all frames.
+    """
+
+    def __init__(self, batch: ExperimentBatch) -> None:
+        kept = [_away_from_collapses(e.times, e.radius.mean(0)) for e in batch.experiments]
+        parts = [
+            Experiment(e.label, e.design, e.times[k], e.radius[:, k], e.nuisance)
+            for e, k in zip(batch.experiments, kept, strict=True)
+        ]
+        self.batch = ExperimentBatch(tuple(parts), batch.noise)
+        self.of_use = not all(bool(k.all()) for k in kept)
+        self._frames = torch.nn.utils.rnn.pad_sequence([torch.nonzero(k)[:, 0] for k in kept], batch_first=True)
+
+    def seen(self, prediction: Tensor) -> Tensor:
+        """Predictions ``... x E x T`` of all frames at those that are kept."""
+        seen = prediction.gather(-1, self._frames.expand(*prediction.shape[:-1], -1))
+        return torch.where(self.batch.mask, seen, 0.0)
+
+
+def _away_from_collapses(times: Tensor, radius: Tensor) -> Tensor:
+    """Frames that are neither a minimum nor next to one; the record may end at one."""
+    times = torch.cat((times, times[-1:] + 1.0))
+    radius = torch.cat((radius, radius.amax(0, keepdim=True)))
+    keep, number = torch.ones_like(times, dtype=torch.bool), 1
+    while (at := collapse_time(times, radius, number)) < math.inf:
+        frame = int(torch.nonzero(times == at))
+        keep[max(1, frame - 1) : frame + 2] = False
+        number += 1
+    return keep[:-1]
+
+
 class Search:
     """The state of all chains (models x starts) and one Gauss-Newton iteration of them."""
 
@@ -101,6 +139,7 @@ class Search:
         self.belief, self.batch, self.simulator, self.options = belief, batch, simulator, options
         self.sds = batch.nuisance_sds
         self.sides = sides(batch)
+        self._blunt = _Blunt(batch)
         self.size = max(len(part.names) for part in belief.models)
         source = generator(child(seed, "assimilate"))
         if options.members is None:
@@ -116,6 +155,8 @@ class Search:
         else:
             self._scout(source)
         chains = len(self.model)
+        self.bluntly = torch.full((chains,), starts is None and near is None and self._blunt.of_use)  # without those frames
+        self.aim = self.cost.clone()  # what a chain lowers: the cost, or that of its frames while it is blunt
         self.damping = torch.full((chains,), 1e-2, dtype=torch.float64)
         self.chol = 0.5 * torch.eye(self.size, dtype=torch.float64).repeat(chains, 1, 1)
         self.led = torch.zeros(chains, dtype=torch.bool)  # whether a chain keeps its leader
@@ -222,6 +263,10 @@ class Search:
         """One Gauss-Newton iteration of the chains that are not finished."""
         chains = torch.nonzero(~self.finished)[:, 0]
         equations = self._linearise(chains)
+        arrived = self.bluntly[chains] & (equations.whitened_gradient < _NEAR)
+        if bool(arrived.any()):
+            self.bluntly[chains[arrived]] = False
+            equations = self._linearise(chains)
         self.gradient[chains] = equations.whitened_gradient
         self.chol[chains] = equations.posterior_chol
         for row, chain in enumerate(chains.tolist()):
@@ -242,8 +287,21 @@ class Search:
         kept = [self.around[chain] for chain in chains.tolist()]
         anomalies, prediction = (torch.stack(parts) for parts in zip(*kept, strict=True))
         gel, nuisances = self.gel[chains], self.nuisances[chains]
-        self.cost[chains] = joint_cost(self.batch, gel, nuisances, prediction[:, 0])
-        return linearise(self.batch, gel, nuisances, anomalies, prediction)
+        aim, cost = self._aim(chains, gel[:, None], nuisances[:, None], prediction[:, :1])
+        self.aim[chains], self.cost[chains] = aim[:, 0], cost[:, 0]
+        whole = linearise(self.batch, gel, nuisances, anomalies, prediction)
+        bluntly = self.bluntly[chains]
+        if not bool(bluntly.any()):
+            return whole
+        return _where(bluntly, linearise(self._blunt.batch, gel, nuisances, anomalies, self._blunt.seen(prediction)), whole)
+
+    def _aim(self, chains: Tensor, gel: Tensor, nuisances: Tensor, prediction: Tensor) -> tuple[Tensor, Tensor]:
+        """What chains lower, and the cost; leading shape ``C x P``."""
+        cost = joint_cost(self.batch, gel, nuisances, prediction)
+        if not bool(self.bluntly[chains].any()):
+            return cost, cost
+        blunt = joint_cost(self._blunt.batch, gel, nuisances, self._blunt.seen(prediction))
+        return torch.where(self.bluntly[chains, None], blunt, cost), cost
 
     def _keep(self, chains: Tensor, predictions: Tensor) -> None:
         """Keep what is known about where chains stand now; predictions as in :meth:`_neighbourhoods`, one point a chain."""
@@ -282,11 +340,11 @@ class Search:
         ahead = gel[..., 0].numel() * nuisances.shape[2] * (1 + len(self.anomalies) + len(self.sides)) <= _AHEAD
         around = self._neighbourhoods(chains, gel, nuisances) if ahead else None
         prediction = self._predict_led(chains, gel, nuisances) if around is None else around[:, :, 0]
-        cost = joint_cost(self.batch, gel, nuisances, prediction)
-        best, row = cost.min(dim=1)
-        better = best < self.cost[chains] - 0.01 * self.options.gradient**2  # a fiftieth of what the tolerance leaves
+        aim, cost = self._aim(chains, gel, nuisances, prediction)
+        best, row = aim.min(dim=1)
+        better = best < self.aim[chains] - 0.01 * self.options.gradient**2  # a fiftieth of what the tolerance leaves
         kept, at = chains[better], (torch.nonzero(better)[:, 0], row[better])
-        self.gel[kept], self.nuisances[kept], self.cost[kept] = gel[at], nuisances[at], best[better]
+        self.gel[kept], self.nuisances[kept], self.cost[kept] = gel[at], nuisances[at], cost[at]
         self._forget(kept)
         if around is not None:
             self._keep(kept, around[at])
@@ -299,7 +357,8 @@ class Search:
         self.damping[chains] *= 100.0
         stuck = chains[self.damping[chains] > _STUCK]
         self.finished[stuck] = self.led[stuck]
-        self._follow_oneself(stuck)
+        self._follow_oneself(stuck[~self.bluntly[stuck]])
+        self.bluntly[stuck] = False
         self.damping[stuck] = 1e-2
 
     def _follow_oneself(self, chains: Tensor) -> None:
@@ -310,7 +369,7 @@ class Search:
 
     def _lead(self, chains: Tensor) -> None:
         """Near a minimum a chain takes the leader of another that is there already, or its own point, until it moves away."""
-        for chain in chains[self.led[chains] | (self.gradient[chains] < _NEAR)].tolist():
+        for chain in chains[self.led[chains] | (self.gradient[chains] < _NEAR) & ~self.bluntly[chains]].tolist():
             others = torch.nonzero(self.led & (self.model == self.model[chain]))[:, 0]
             gaps = torch.linalg.solve_triangular(self.chol[chain], (self.leader_gel[others] - self.gel[chain]).mT, upper=False)
             close = others[gaps.norm(dim=0) < _NEAR]
@@ -327,7 +386,7 @@ class Search:
         self.gel[chains], self.nuisances[chains] = gel, nuisances.clone()
         self.cost[chains] = self._cost_alone(self.model[chains], self.gel[chains], self.nuisances[chains])
         self.finished[chains] = ~torch.isfinite(self.cost[chains])
-        self.led[chains], self.damping[chains] = False, 1e-2
+        self.led[chains], self.bluntly[chains], self.damping[chains] = False, False, 1e-2
         self._forget(chains)
 
     def report(self) -> str:
@@ -381,6 +440,12 @@ class Search:
             prediction=prediction,
             certificate=certificate,
         )
+
+
+def _where(condition: Tensor, first: NormalEquations, second: NormalEquations) -> NormalEquations:
+    """Rows of the first where the condition (``C``) holds, else of the second."""
+    blocks = ((getattr(first, b.name), getattr(second, b.name)) for b in fields(first))
+    return NormalEquations(*(torch.where(condition.view(-1, *[1] * (one.ndim - 1)), one, two) for one, two in blocks))
 
 
 def _row(equations: NormalEquations, rows: int | Tensor) -> NormalEquations:

@@ -364,3 +364,17 @@ def test_that_the_stated_covariance_is_the_curvature_of_the_exact_cost(bubbles) 
     likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0)).sum(-1)
     rise = 0.5 * (fit.mean + moves).square().sum(-1) + 0.5 * w.square().sum((-2, -1)) - likelihood - fit.cost
     torch.testing.assert_close(rise, torch.full((4,), 0.5, dtype=torch.float64), rtol=0.0, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("gradient", "agreement", "behind", "converged"),
+    [(5e-3, 1e-6, 50.0, True), (5e-3, 1e-6, 5.0, False), (0.5, 1e-6, 50.0, False), (5e-3, 3.0, 50.0, False)],
+)
+def test_that_a_stalled_fit_matters_only_if_it_could_still_be_in_the_running(
+    gradient: float, agreement: float, behind: float, converged: bool
+) -> None:
+    result = fitted(prior(("newtonian", "nhkv")), experiments(2), LinearSimulator())
+    first, second = result.fits
+    certificate = replace(second.certificate, gradient=gradient, agreement=agreement, converged=False)
+    stalled = replace(second, certificate=certificate, cost=first.cost + behind)
+    assert replace(result, fits=(first, stalled)).converged is converged
