@@ -5,8 +5,7 @@ lock step with its centre, so that its differences are the solver's own sensitiv
 its *leader*, the point whose solution decides on the steps of all others: the cost is then a smooth function, equal to itself
 from iteration to iteration and between starts, where solves that each decide for themselves leave some 1e-4 in R*.
 
-A frame next to a collapse sees the same radius before it and after, so the cost has a false minimum on either side of it.
-Chains that set out from scouts therefore leave those frames out until they are near a minimum (they are *blunt*).
+Chains that set out from scouts are *blunt* at first (:mod:`imr_torch.assimilate.blunt`), until they are near a minimum.
 Which chains are under way is decided elsewhere (:mod:`imr_torch.assimilate.race`).
 """
 
@@ -17,12 +16,13 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+from imr_torch.assimilate.blunt import Blunt
 from imr_torch.assimilate.cost import joint_cost, linearise, sides
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
 from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.errors import ConvergenceError, InputDataError, ShapeError
 from imr_torch.material import Belief
-from imr_torch.observe import Experiment, ExperimentBatch, collapse_time, predict
+from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 
@@ -87,41 +87,6 @@ def around(chol: Tensor, source: torch.Generator, away: float) -> Tensor:
     return step * (_RESTART * noise.norm() / step.norm().clamp_min(1e-300)).clamp_max(1.0)
 
 
-class _Blunt:
-    """The experiments without the frames next to collapses.
-
-    Args:
-        batch: all frames.
-    """
-
-    def __init__(self, batch: ExperimentBatch) -> None:
-        kept = [_away_from_collapses(e.times, e.radius.mean(0)) for e in batch.experiments]
-        parts = [
-            Experiment(e.label, e.design, e.times[k], e.radius[:, k], e.nuisance)
-            for e, k in zip(batch.experiments, kept, strict=True)
-        ]
-        self.batch = ExperimentBatch(tuple(parts), batch.noise)
-        self.of_use = not all(bool(k.all()) for k in kept)
-        self._frames = torch.nn.utils.rnn.pad_sequence([torch.nonzero(k)[:, 0] for k in kept], batch_first=True)
-
-    def seen(self, prediction: Tensor) -> Tensor:
-        """Predictions ``... x E x T`` of all frames at those that are kept."""
-        seen = prediction.gather(-1, self._frames.expand(*prediction.shape[:-1], -1))
-        return torch.where(self.batch.mask, seen, 0.0)
-
-
-def _away_from_collapses(times: Tensor, radius: Tensor) -> Tensor:
-    """Frames that are neither a minimum nor next to one; the record may end at one."""
-    times = torch.cat((times, times[-1:] + 1.0))
-    radius = torch.cat((radius, radius.amax(0, keepdim=True)))
-    keep, number = torch.ones_like(times, dtype=torch.bool), 1
-    while (at := collapse_time(times, radius, number)) < math.inf:
-        frame = int(torch.nonzero(times == at))
-        keep[max(1, frame - 1) : frame + 2] = False
-        number += 1
-    return keep[:-1]
-
-
 class Search:
     """The state of all chains (models x starts) and one Gauss-Newton iteration of them."""
 
@@ -139,7 +104,7 @@ class Search:
         self.belief, self.batch, self.simulator, self.options = belief, batch, simulator, options
         self.sds = batch.nuisance_sds
         self.sides = sides(batch)
-        self._blunt = _Blunt(batch)
+        self._blunt = Blunt(batch)
         self.size = max(len(part.names) for part in belief.models)
         source = generator(child(seed, "assimilate"))
         if options.members is None:
