@@ -51,6 +51,8 @@ class EnsembleOptions:
         hopeless: a start rests, unconverged, once its cost less what its gradient promises is worse than the best cost of
             any model by more than this, nats; never when not given. When given, models race: the best start of each sets
             out, and a second follows where it arrives not too far behind; of more than two, all follow from farther behind too.
+        blunt: whether chains leave the frames next to collapses out until they are near a minimum
+            (:mod:`imr_torch.assimilate.blunt`); when not given, those that set out from scouts do.
     """
 
     members: int | None = None
@@ -61,6 +63,7 @@ class EnsembleOptions:
     gradient: float = 1e-3
     agreement: float = 0.1
     hopeless: float | None = None
+    blunt: bool | None = None
 
     def __post_init__(self) -> None:
         if self.members is not None and (self.members < 2 or self.members % 2):
@@ -120,7 +123,8 @@ class Search:
         else:
             self._scout(source)
         chains = len(self.model)
-        self.bluntly = torch.full((chains,), starts is None and near is None and self._blunt.of_use)  # without those frames
+        blunt = options.blunt if options.blunt is not None else starts is None and near is None
+        self.bluntly = torch.full((chains,), blunt and self._blunt.of_use)
         self.aim = self.cost.clone()  # what a chain lowers: the cost, or that of its frames while it is blunt
         self.damping = torch.full((chains,), 1e-2, dtype=torch.float64)
         self.chol = 0.5 * torch.eye(self.size, dtype=torch.float64).repeat(chains, 1, 1)

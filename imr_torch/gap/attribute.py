@@ -156,6 +156,7 @@ def _weigh(
     weights["none"] = math.log(PRIOR_NONE) + evidence[prefix or "none"]
     top = max(weights.values())
     known = sum(math.exp(w - top) for w in weights.values())
+    p_adequate = max(p_adequate, 1e-300)  # one that underflowed
     bound = -math.e * p_adequate * math.log(p_adequate) if p_adequate < 1.0 / math.e else 1.0
     other = known * PRIOR_OTHER / (1.0 - PRIOR_OTHER) * _MASKED / max(bound, 1e-12)
     posterior = {name: math.exp(w - top) / (known + other) for name, w in weights.items()} | {"other": other / (known + other)}

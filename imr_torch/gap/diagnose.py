@@ -6,6 +6,7 @@ without converged fits.
 
 import time
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 from torch import Tensor
@@ -20,7 +21,7 @@ from imr_torch.gap.score import GapTest
 from imr_torch.material import ModelBelief, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import child
-from imr_torch.simulate import ACCURACIES, PolytropicSimulator, Simulator, TransportSimulator
+from imr_torch.simulate import ACCURACIES, ParallelSimulator, PolytropicSimulator, Simulator, TransportSimulator
 from imr_torch.types import Progress
 
 Starts = Mapping[str, Sequence[Sequence[float]]]
@@ -132,6 +133,10 @@ def diagnose(
 
 def _impatient(simulator: Simulator) -> Simulator:
     """Polytropic bubbles with explicit steps crawl where a gel relaxes at once; no fit worth having ends there."""
+    if isinstance(simulator, ParallelSimulator):
+        alike = copy(simulator)
+        alike.simulator = _impatient(simulator.simulator)
+        return alike
     if not isinstance(simulator, PolytropicSimulator):
         return simulator
     stepping = simulator.stepping

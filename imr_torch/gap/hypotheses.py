@@ -92,14 +92,15 @@ def fit_null(
     perturbed copies of it.
     """
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
-    if isinstance(simulator, PolytropicSimulator):
+    if isinstance(getattr(simulator, "simulator", simulator), PolytropicSimulator):  # workers hold one of their own
         return assimilate(belief, batch, simulator, seed=seed, progress=progress).fits[0]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         rough = assimilate(belief, batch, PolytropicSimulator(simulator.conditions), seed=seed, options=_ROUGH).fits[0]
     spread = _APART * torch.randn(2, len(rough.mean), generator=generator(child(seed, "null")), dtype=torch.float64)
     starts = torch.cat((rough.mean[None], rough.mean + spread))
-    return assimilate(belief, batch, simulator, seed=seed, starts=[starts], progress=progress).fits[0]
+    options = EnsembleOptions(blunt=True)  # the polytropic collapse may be on another side of a frame
+    return assimilate(belief, batch, simulator, seed=seed, starts=[starts], options=options, progress=progress).fits[0]
 
 
 def fit_hypotheses(

@@ -1,0 +1,101 @@
+"""The registry: one test through every effect of the library, and what a user's own effect must be."""
+
+import pytest
+import torch
+
+from imr_torch.errors import ImrError, InputDataError
+from imr_torch.gap import effects
+from imr_torch.gap.effects import LIBRARY, Effect, library, register_effect
+from imr_torch.material import PARAMETERS, TruncatedNormal
+from imr_torch.observe import predict
+from tests.gap.synthetic import GEL, SIMULATOR, shoot
+
+NAMES = [
+    "strain_stiffening",
+    "stress_relaxation",
+    "shear_thinning",
+    "damage",
+    "yield_stress",
+    "graded_modulus",
+    "permanent_set",
+    "heat_exchange",
+    "vapour_pressure",
+    "condensation",
+    "gas_loss",
+    "sound_speed",
+    "surface_tension",
+    "far_field_pressure",
+    "wall",
+    "energy_loss",
+    "residual_velocity",
+    "sound_field",
+    "pulse",
+    "missed_maximum",
+    "trigger_offset",
+    "rinf_bias",
+    "clock",
+    "exposure_blur",
+    "refraction",
+]
+
+
+@pytest.fixture(scope="module")
+def batch():
+    return shoot({})
+
+
+def seen(batch, values: dict[str, float]):
+    """What the camera would see of the gel with some parameters: ``E x T``."""
+    return predict(SIMULATOR, PARAMETERS.pack(GEL | values)[None], batch)[0]
+
+
+def test_that_the_library_is_complete() -> None:
+    assert sorted(LIBRARY) == sorted(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_that_at_its_neutral_value_it_is_the_base_exactly_and_at_a_start_it_is_not(batch, name: str) -> None:
+    effect, base = LIBRARY[name], seen(batch, {})
+    for start in effect.starts:
+        values = dict(zip(effect.names, start, strict=True))
+        assert torch.equal(seen(batch, values | {effect.names[0]: 0.0}), base)
+        assert float((seen(batch, values) - base).abs().amax()) > 1e-5
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_that_it_says_where_it_acts_in_which_units_and_how_large_it_may_be(name: str) -> None:
+    effect = LIBRARY[name]
+    assert effect.name == name
+    assert effect.place in ("material", "gas", "liquid", "geometry", "driving", "measurement")
+    assert len(effect.meaning) > 10
+    for i, (parameter, prior) in enumerate(effect.priors.items()):
+        assert PARAMETERS[parameter].unit
+        for start in effect.starts:
+            control = prior.to_control(torch.tensor(start[i], dtype=torch.float64))
+            assert bool(control.abs() < 3.0)
+    mates = [other for other in LIBRARY.values() if other.family == effect.family]
+    assert len(mates) == 1 or effect.group
+
+
+def test_that_effects_are_offered_by_name_and_to_bases_that_they_can_act_on() -> None:
+    assert [e.name for e in library(["pulse", "wall"])] == ["pulse", "wall"]
+    assert len(library(without=["pulse"])) == len(library()) - 1
+    assert "strain_stiffening" in {e.name for e in library(base="nhkv")}
+    assert "strain_stiffening" not in {e.name for e in library(base="gen_qkv")}
+    assert not {"strain_stiffening", "damage", "permanent_set"} & {e.name for e in library(base="newtonian")}
+    with pytest.raises(InputDataError, match=r"Unknown effect 'wal'; known are strain_stiffening, "):
+        library(["wal"])
+
+
+def test_that_a_users_effect_is_one_class_and_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(effects, "LIBRARY", dict(LIBRARY))
+    prior = TruncatedNormal(0.0, 0.1)
+    mine = Effect("slow_wall", "a wall far away", "geometry", {"wall": prior}, ((0.05,), (-0.05,)))
+    register_effect(mine)
+    assert library(["slow_wall"]) == (mine,)
+    with pytest.raises(InputDataError, match="'slow_wall' is registered already"):
+        register_effect(mine)
+    with pytest.raises(InputDataError, match="needs starts of 1 values each"):
+        Effect("x", "no start of that many values", "geometry", {"wall": prior}, ((0.05, 1.0),))
+    with pytest.raises(ImrError, match="wal"):
+        Effect("x", "no such parameter", "geometry", {"wal": prior}, ((0.05,),))
