@@ -12,6 +12,7 @@ and their hash stands in every line.
 import argparse
 import json
 import math
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import as_completed
 from dataclasses import asdict
@@ -24,9 +25,10 @@ import torch
 from benchmarks.gap.run import Extras, frozen, run_task, thresholds
 from benchmarks.gap.sets import KINDS, PHYSICS, Task
 from benchmarks.gap.table import amounts, controls, read_lines, shares, table
-from imr_torch.errors import InputDataError
+from imr_torch.errors import ConvergenceWarning, InputDataError
 from imr_torch.gap import library
-from imr_torch.simulate import process_pool
+from imr_torch.gap.diagnose import impatient
+from imr_torch.simulate import process_pool, simulate_together
 
 _PAIRS = "5x100"
 
@@ -77,20 +79,21 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def run(path: Path, wanted: Iterable[Task], extras: Extras, *, workers: int = 1) -> None:
+def run(path: Path, wanted: Iterable[Task], extras: Extras, *, workers: int = 1, at_once: int = 1) -> None:
     """Run the sets that have no line yet and append theirs.
 
     Args:
         path: the run's lines.
-        wanted: sets.
+        wanted: sets, of one physics.
         extras: parts beside the verdicts.
         workers: processes, of one thread each.
+        at_once: sets side by side in this process, whose bubbles are simulated together; in place of workers.
     """
     done = {line["key"] for line in read_lines(path)}
     left = [task for task in wanted if task.key not in done]
     print(f"{len(left)} sets to run; thresholds {frozen()}: {json.dumps(thresholds(), indent=1)}", flush=True)
-    work = partial(_run_alone, extras=extras)
-    for number, line in enumerate(_lines(work, left, workers), start=1):
+    lines = _side_by_side(left, extras, at_once) if at_once > 1 else _lines(partial(_run_alone, extras=extras), left, workers)
+    for number, line in enumerate(lines, start=1):
         append(path, line)
         said = f"{line['verdict']} {', '.join(line['cause'])} (truth: {', '.join(line['truth']) or 'none'})"
         print(f"{number}/{len(left)} {line['key']}: {said} {line.get('error', '')}", flush=True)
@@ -99,7 +102,19 @@ def run(path: Path, wanted: Iterable[Task], extras: Extras, *, workers: int = 1)
 def _run_alone(task: Task, extras: Extras) -> dict[str, Any]:
     """A set on one thread."""
     torch.set_num_threads(1)
-    return run_task(task, extras)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # certificates are in the line
+        return run_task(task, extras)
+
+
+def _side_by_side(left: Sequence[Task], extras: Extras, at_once: int) -> Iterator[dict[str, Any]]:
+    """Sets in this process, on one thread; lines as they come."""
+    torch.set_num_threads(1)
+    work = (partial(run_task, task, extras) for task in left)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        if left:
+            yield from (line for _, line in simulate_together(work, impatient(left[0].simulator()), at_once=at_once))
 
 
 def _lines(work: partial[dict[str, Any]], left: Sequence[Task], workers: int) -> Iterator[dict[str, Any]]:
@@ -127,7 +142,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     runs.add_argument("--nuisances", action="store_true", help="errors of Rmax, time zero and R_inf of each experiment")
     runs.add_argument("--effects", default="", metavar="NAME,...", help="a part of the library to draw from and to offer")
     runs.add_argument("--seed", type=int, default=0, help="of the first set; further sets count up")
-    runs.add_argument("--workers", type=int, default=1)
+    runs.add_argument("--workers", type=int, default=1, help="processes, a set at a time in each")
+    runs.add_argument("--at-once", type=int, default=1, help="sets side by side in this process, at less CPU each")
     runs.add_argument("--onset", action="store_true", help="also the phase of the onset")
     runs.add_argument("--shrinkage", action="store_true", help="also how far the gap shrinks on unseen designs")
     runs.add_argument("--no-baselines", action="store_true")
@@ -142,7 +158,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     wanted = tasks(
         names[0], names[1], args.physics, args.sets, seed=args.seed, nuisances=args.nuisances, effects=tuple(names[2])
     )
-    run(args.out, wanted, Extras(args.onset, args.shrinkage, not args.no_baselines), workers=args.workers)
+    extras = Extras(args.onset, args.shrinkage, not args.no_baselines)
+    run(args.out, wanted, extras, workers=args.workers, at_once=args.at_once)
 
 
 def _score(args: argparse.Namespace) -> None:

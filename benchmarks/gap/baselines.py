@@ -23,7 +23,7 @@ from imr_torch.gap.linear import Linearisation
 from imr_torch.gap.score import LEVEL
 from imr_torch.gap.windows import moving_windows
 from imr_torch.observe import ExperimentBatch
-from imr_torch.simulate import PolytropicSimulator, TransportSimulator
+from imr_torch.simulate import Simulator
 
 _FOLDS = 3  # designs that the Gaussian process predicts, one after the other
 _POINTS = 400  # frames that it learns from, at most
@@ -33,7 +33,7 @@ def baselines(
     report: GapReport,
     line: Linearisation,
     offered: Sequence[Effect],
-    simulator: PolytropicSimulator | TransportSimulator,
+    simulator: Simulator,
     *,
     seed: int,
 ) -> dict[str, Any]:
@@ -57,9 +57,7 @@ def baselines(
     }
 
 
-def _closed_set(
-    report: GapReport, offered: Sequence[Effect], simulator: PolytropicSimulator | TransportSimulator, seed: int
-) -> str:
+def _closed_set(report: GapReport, offered: Sequence[Effect], simulator: Simulator, seed: int) -> str:
     """The single effect of largest evidence; fitted here where the diagnosis saw no gap and so fitted none."""
     if report.attribution is not None:
         return report.attribution.winner.split("+")[0]  # selection starts with that effect

@@ -18,7 +18,7 @@ from imr_torch.gap.score import block
 from imr_torch.material import Stress
 from imr_torch.material.integral import TERMS
 from imr_torch.observe import ExperimentBatch
-from imr_torch.simulate import PolytropicSimulator, TransportSimulator
+from imr_torch.simulate import Simulator
 
 _SMOOTH = 0.02  # velocity below which |U| is rounded off
 State = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
@@ -99,9 +99,7 @@ CLOSURE = (
 )
 
 
-def state_closure(
-    fit: ModelFit, line: Linearisation, batch: ExperimentBatch, simulator: PolytropicSimulator | TransportSimulator
-) -> float:
+def state_closure(fit: ModelFit, line: Linearisation, batch: ExperimentBatch, simulator: Simulator) -> float:
     """P-value of the closure's block at a fit.
 
     Args:
@@ -111,7 +109,8 @@ def state_closure(
         simulator: as in the fit.
     """
     own = tuple(term for term in TERMS if term.switch in fit.prior.names)
-    seven = replace(simulator, terms=own + CLOSURE)  # type: ignore[arg-type]  # frozen terms are stress terms too
+    behind = getattr(simulator, "simulator", simulator)  # of one that runs side by side with others
+    seven = replace(behind, terms=own + CLOSURE)  # type: ignore[arg-type]  # frozen terms are stress terms too
     rows = line.whiten(curves(fit, batch, seven, [{t.switch: t.step} for t in CLOSURE]) - line.prediction)
     found = block("state closure", rows[torch.isfinite(rows).all(1)], line)
     rank = found.directions.shape[1]

@@ -4,7 +4,6 @@ import hashlib
 import importlib
 import json
 import numbers
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, is_dataclass
 from typing import Any
@@ -12,7 +11,6 @@ from typing import Any
 from benchmarks.gap.baselines import baselines
 from benchmarks.gap.sets import SyntheticSet, Task, make_set
 from imr_torch.assimilate import EnsembleOptions
-from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap import LIBRARY, GapReport, diagnose, to_json
 from imr_torch.gap.attribute import ADEQUATE, adequacy_test
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses
@@ -20,7 +18,7 @@ from imr_torch.gap.locate import onset
 from imr_torch.gap.shrinkage import held_out, shrinkage_unseen
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
-from imr_torch.simulate import PolytropicSimulator, TransportSimulator
+from imr_torch.simulate import Simulator
 
 _DECIDING = ("score", "attribute", "diagnose", "hypotheses", "locate", "restrict", "shrinkage", "windows")
 _KEPT = ("gap", "p_gap", "bias_sigma", "verdict", "cause", "adequacy_p", "converged", "seconds")
@@ -59,8 +57,14 @@ def frozen() -> str:
     return hashlib.sha256(document.encode()).hexdigest()[:12]
 
 
-def run_task(task: Task, extras: Extras | None = None) -> dict[str, Any]:
-    """The line of a task, ready for JSON; what failed is in it, as an undecided verdict with the reason."""
+def run_task(task: Task, extras: Extras | None = None, simulator: Simulator | None = None) -> dict[str, Any]:
+    """The line of a task, ready for JSON; what failed is in it, as an undecided verdict with the reason.
+
+    Args:
+        task: the set.
+        extras: parts beside the verdict.
+        simulator: stands in for the task's own in the diagnosis (one of :func:`imr_torch.simulate.simulate_together`).
+    """
     extras = extras or Extras()
     line: dict[str, Any] = {"key": task.key, "kind": task.kind, "size": task.size, "physics": task.physics}
     line |= {"nuisances": task.nuisances, "seed": task.seed, "frozen": frozen()}
@@ -68,13 +72,11 @@ def run_task(task: Task, extras: Extras | None = None) -> dict[str, Any]:
         data = make_set(task)
         line |= {"truth": list(data.truth), "values": data.values, "signal": data.signal, "phase": data.phase}
         line |= {"designs": [list(e.design) for e in data.experiments], "offered": len(data.offered)}
-        simulator, seed = task.simulator(), child(task.seed, "diagnosis", task.key)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)  # certificates are in the line
-            report = diagnose(data.experiments, effects=data.offered, simulator=simulator, seed=seed)
-            line |= summary(report)
-            for part in _parts(data, report, simulator, seed, extras):
-                line |= part
+        simulator, seed = simulator or task.simulator(), child(task.seed, "diagnosis", task.key)
+        report = diagnose(data.experiments, effects=data.offered, simulator=simulator, seed=seed)
+        line |= summary(report)
+        for part in _parts(data, report, simulator, seed, extras):
+            line |= part
     except Exception as error:  # hours of other sets must not be lost with it
         line = {"truth": [], "gap": False, "verdict": "undecided", "cause": [], "converged": False} | line
         line["error"] = f"{type(error).__name__}: {error}"
@@ -100,9 +102,7 @@ def summary(report: GapReport) -> dict[str, Any]:
     return line
 
 
-def _parts(
-    data: SyntheticSet, report: GapReport, simulator: PolytropicSimulator | TransportSimulator, seed: int, extras: Extras
-) -> Iterator[dict[str, Any]]:
+def _parts(data: SyntheticSet, report: GapReport, simulator: Simulator, seed: int, extras: Extras) -> Iterator[dict[str, Any]]:
     """The parts asked for, as far as the report allows them."""
     if extras.baselines:
         yield {"baselines": baselines(report, report.line, data.offered, simulator, seed=child(seed, "baselines"))}
@@ -114,16 +114,14 @@ def _parts(
         yield _shrinkage(data, report, simulator, seed)
 
 
-def _onset(report: GapReport, simulator: PolytropicSimulator | TransportSimulator, seed: int) -> dict[str, Any]:
+def _onset(report: GapReport, simulator: Simulator, seed: int) -> dict[str, Any]:
     """When the gap begins; the truth is the set's own phase."""
     own = child(seed, "onset")
     when = onset(report.null, report.line, report.batch, simulator, seed=own, directions=report.directions)
     return {"onset_phase": when.phase, "onset_t": when.time}
 
 
-def _shrinkage(
-    data: SyntheticSet, report: GapReport, simulator: PolytropicSimulator | TransportSimulator, seed: int
-) -> dict[str, Any]:
+def _shrinkage(data: SyntheticSet, report: GapReport, simulator: Simulator, seed: int) -> dict[str, Any]:
     """How far the right effect shrinks the gap on unseen designs, measured and true, and whether the best wrong one is exposed.
 
     A wrong effect is exposed if its own fit is not adequate, or if it loses to the right one on the unseen designs by two

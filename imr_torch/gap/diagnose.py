@@ -102,7 +102,7 @@ def diagnose(
     effects = tuple(library(base=base.model) if effects is None else effects)
     if not effects:
         raise InputDataError(f"No effect is left that can be put on {base.model!r}; known are {', '.join(LIBRARY)}.")
-    simulator = _impatient(simulator or TransportSimulator(accuracy=ACCURACIES["search"]))
+    simulator = impatient(simulator or TransportSimulator(accuracy=ACCURACIES["search"]))
     batch = ExperimentBatch(tuple(experiments), noise or Noise())
     null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
     base_left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
@@ -131,11 +131,14 @@ def diagnose(
     )
 
 
-def _impatient(simulator: Simulator) -> Simulator:
-    """Polytropic bubbles with explicit steps crawl where a gel relaxes at once; no fit worth having ends there."""
+def impatient(simulator: Simulator) -> Simulator:
+    """The simulator, with few steps if it is polytropic.
+
+    Those bubbles take explicit steps, which crawl where a gel relaxes at once; no fit worth having ends there.
+    """
     if isinstance(simulator, ParallelSimulator):
         alike = copy(simulator)
-        alike.simulator = _impatient(simulator.simulator)
+        alike.simulator = impatient(simulator.simulator)
         return alike
     if not isinstance(simulator, PolytropicSimulator):
         return simulator

@@ -92,7 +92,7 @@ def fit_null(
     perturbed copies of it.
     """
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
-    if isinstance(getattr(simulator, "simulator", simulator), PolytropicSimulator):  # workers hold one of their own
+    if isinstance(getattr(simulator, "simulator", simulator), PolytropicSimulator):  # behind workers, or a crowd
         return assimilate(belief, batch, simulator, seed=seed, progress=progress).fits[0]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)

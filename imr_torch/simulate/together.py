@@ -52,7 +52,7 @@ def simulate_together(
     try:
         while True:
             for number, task in islice(source, at_once - len(seated)):
-                seated.append(_Seat(number, task, simulator.conditions))
+                seated.append(_Seat(number, task, simulator))
                 seated[-1].resume(None)
             if not seated:
                 return
@@ -88,11 +88,11 @@ class _Seat(Generic[T]):
     Args:
         number: of the task.
         task: the computation.
-        conditions: those of the simulator behind.
+        simulator: the one behind.
     """
 
-    def __init__(self, number: int, task: Callable[[Simulator], T], conditions: Conditions) -> None:
-        self.number, self._task, self._conditions = number, task, conditions
+    def __init__(self, number: int, task: Callable[[Simulator], T], simulator: Simulator) -> None:
+        self.number, self._task, self.simulator = number, task, simulator
         self.order: _Order | None = None
         self._answer: Fields | BaseException | None = None
         self._result: T | None = None
@@ -137,7 +137,7 @@ class _Seat(Generic[T]):
     @property
     def conditions(self) -> Conditions:
         """Those of the simulator behind."""
-        return self._conditions
+        return self.simulator.conditions
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         """See :class:`imr_torch.simulate.Simulator`."""

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from imr_torch.gap.attribute import PRIOR_NONE, PRIOR_OTHER, Attribution, _weigh
-from imr_torch.gap.diagnose import _impatient
+from imr_torch.gap.diagnose import impatient
 from imr_torch.gap.effects import library
 from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator
 
@@ -61,11 +61,11 @@ def test_that_the_credible_set_is_the_smallest_that_reaches_its_level() -> None:
 
 
 def test_that_few_steps_of_polytropic_bubbles_are_taken_by_workers_too() -> None:
-    plain = _impatient(PolytropicSimulator())
+    plain = impatient(PolytropicSimulator())
     assert plain.stepping.max_steps < PolytropicSimulator().stepping.max_steps
     with ThreadPoolExecutor(1) as pool:
         spread = ParallelSimulator(PolytropicSimulator(), pool)
-        assert _impatient(spread).simulator == plain
+        assert impatient(spread).simulator == plain
         assert spread.simulator == PolytropicSimulator()
     full = TransportSimulator()
-    assert _impatient(full) is full
+    assert impatient(full) is full
