@@ -51,6 +51,7 @@ class Verdict(Enum):
 
 
 _SAME = 0.05  # nats between Gaussians: a mean a third of an sd off, or an sd 20 % off
+_CLOUD = 64  # draws by which a belief that bends is handed on
 _ALL_BUT = 0.1  # posterior standard deviations, and nats between starts: what is left to gain is a hundredth of a nat
 _OUT = 20.0  # nats by which a model is out of the running
 _AGAIN = 0.1  # the same between two rounds, each with its error
@@ -102,12 +103,20 @@ class ModelFit:
 
     @property
     def posterior(self) -> ModelBelief:
-        """The model's belief after the data: the Gaussian, or the moments of the weighed draws where those repair it."""
-        if self.verdict is Verdict.REPAIRED:
-            assert self.sample is not None
-            mean, covariance = self.sample.mean, self.sample.covariance
-        else:
-            mean, covariance = self.mean, self.chol @ self.chol.mT
+        """The model's belief after the data: the Gaussian or, where that is repaired, moments of the draws and a cloud of them."""
+        if self.verdict is not Verdict.REPAIRED:
+            return self._believed(self.mean, self.chol @ self.chol.mT)
+        sample = self.sample
+        assert sample is not None
+        belief = self._believed(sample.mean, sample.covariance)
+        if sample.precisions is None:
+            return belief
+        chosen, unscale = sample.spaced(_CLOUD), torch.linalg.inv(self.prior.chol)
+        controls = self.prior.mean + sample.controls[chosen] @ self.prior.chol.mT
+        return belief.with_cloud(controls, unscale.mT @ sample.precisions[chosen] @ unscale)
+
+    def _believed(self, mean: Tensor, covariance: Tensor) -> ModelBelief:
+        """The prior with a Gaussian of ``v``."""
         covariance = self.prior.chol @ covariance @ self.prior.chol.mT
         return self.prior.with_gaussian(self.prior.mean + self.prior.chol @ mean, torch.linalg.cholesky(covariance))
 

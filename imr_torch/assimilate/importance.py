@@ -73,6 +73,7 @@ class ImportanceSample:
         spread: ``d x d`` tensor, Cholesky factor of the covariance that it was made for.
         first_shape: ``k`` of the first round, whose proposal is the Gaussian with heavier tails.
         rounds: how many rounds of draws were made; these are of the last one, whose proposal owes nothing to them.
+        precisions: ``n x d x d`` tensor, of the posterior about each draw; None where not known.
     """
 
     controls: Tensor
@@ -84,6 +85,7 @@ class ImportanceSample:
     spread: Tensor
     first_shape: float
     rounds: int
+    precisions: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.controls)
@@ -175,6 +177,11 @@ class ImportanceSample:
         variance = self.covariance.diagonal()
         excess = (self.controls - self.mean).square() - variance
         return (self.weights.square() @ excess.square()).sqrt() / (2.0 * variance.sqrt())
+
+    def spaced(self, count: int) -> Tensor:
+        """Indices of ``count`` draws of equal weight, the same whenever asked for (systematic resampling)."""
+        positions = (torch.arange(count, dtype=torch.float64) + 0.5) / count
+        return torch.searchsorted(self.weights.cumsum(0), positions).clamp_max(len(self) - 1)
 
     def resample(self, count: int, source: torch.Generator) -> Tensor:
         """Indices of ``count`` draws of equal weight, each within one of its expected number (systematic resampling)."""

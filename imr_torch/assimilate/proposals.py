@@ -30,6 +30,7 @@ class Kernels:
         chols: ``J x d x d`` lower triangular tensor of their scales.
         mean: ``d`` tensor, mean of the posterior that the proposal is made for.
         chol: ``d x d`` tensor, Cholesky factor of the covariance of that posterior.
+        precisions: tensor ``d x d`` for each of the first centres, of that posterior about them; None where not known.
     """
 
     centres: Tensor
@@ -37,6 +38,7 @@ class Kernels:
     chols: Tensor
     mean: Tensor
     chol: Tensor
+    precisions: Tensor | None = None
 
     @classmethod
     def about(cls, mean: Tensor, chol: Tensor) -> "Kernels":
@@ -70,7 +72,17 @@ class Kernels:
             chols=torch.cat((self.chols, _WIDE * self.chol[None])),
             mean=self.mean,
             chol=self.chol,
+            precisions=self.precisions,
         )
+
+    def precisions_at(self, points: Tensor) -> Tensor | None:
+        """Of the posterior about ``n x d`` points, ``n x d x d``, as about the nearest centre; None where not known."""
+        if self.precisions is None:
+            return None
+        centres = self.centres[: len(self.precisions)]
+        whiten = torch.linalg.inv(self.chols[: len(centres)])
+        gaps = torch.einsum("jab,jnb->jna", whiten, points - centres[:, None])
+        return self.precisions[gaps.square().sum(-1).argmin(0)]
 
     def draw(self, count: int, source: torch.Generator) -> Tensor:
         """``count x d`` independent draws."""

@@ -164,7 +164,7 @@ def _kernels(points: list[_Point], fit: ModelFit) -> Kernels:
     weights = torch.softmax(0.5 * torch.linalg.slogdet(inside).logabsdet + spacing.log() - cost, dim=0)
     mean = weights @ gels
     covariance = (weights[:, None] * (gels - mean)).mT @ (gels - mean) + (weights[:, None, None] * flat).sum(0)
-    return Kernels(gels, weights, chols, mean, torch.linalg.cholesky(covariance)).with_watch(_WATCH)
+    return Kernels(gels, weights, chols, mean, torch.linalg.cholesky(covariance), hessian).with_watch(_WATCH)
 
 
 def _across(way: Tensor) -> Tensor:

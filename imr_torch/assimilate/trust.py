@@ -197,6 +197,7 @@ def _judge(fit: ModelFit, proposal: Kernels, part: _Round) -> ModelFit:
         spread=proposal.chol,
         first_shape=first,
         rounds=rounds,
+        precisions=proposal.precisions_at(part.controls),
     )
     return replace(fit, sample=sample)
 

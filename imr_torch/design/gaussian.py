@@ -6,10 +6,11 @@ For draws ``v_n`` of the belief with prediction ``f_n`` and sensitivity ``J_n``,
     I(model; y)         ~ mean_n log p(y_n | m_n) - log sum_m p(m) p(y_n | m)
 
 is the ``laplace`` method, with the Gaussian evidence linearised at the datum's own gel, or at the draw of another model
-nearest to its own optimum. ``importance`` keeps nested Monte Carlo, ``mean_n log p(y_n | v_n) - log p(y_n)``, and takes the
-inner samples from those Gaussians (Beck et al., CMAME 334, 2018); a finite number of them leaves the value too high on
-average, for any proposal. ``adaptive`` counts the datum's own gel among the inner samples and finds its proposals without
-it, which leaves it too low (adaptive contrastive estimation: Foster et al., AISTATS 2020).
+nearest to its own optimum; a belief that bends is drawn from its cloud, with its own precision about each draw in place of 1.
+``importance`` keeps nested Monte Carlo, ``mean_n log p(y_n | v_n) - log p(y_n)``, and takes the inner samples from those
+Gaussians (Beck et al., CMAME 334, 2018); a finite number of them leaves the value too high on average, for any proposal.
+``adaptive`` counts the datum's own gel among the inner samples and finds its proposals without it, which leaves it too low
+(adaptive contrastive estimation: Foster et al., AISTATS 2020).
 """
 
 import math
@@ -54,6 +55,33 @@ def _controls(shot: Shot, draws: int, source: torch.Generator) -> list[Tensor]:
     return [torch.randn(draws, len(part.names), generator=source, dtype=torch.float64) for part in shot.belief.models]
 
 
+def _bent_controls(shot: Shot, draws: int, source: torch.Generator) -> list[Tensor]:
+    """Draws of each model as of its cloud, if it has one."""
+    drawn = _controls(shot, draws, source)
+    for i, part in enumerate(shot.belief.models):
+        if part.cloud is not None:
+            rows = torch.randperm(len(part.cloud.controls), generator=source)
+            rows = rows.repeat(-(-draws // len(rows)))[:draws]
+            away = part.cloud.controls[rows] - part.mean
+            drawn[i] = torch.linalg.solve_triangular(part.chol, away.mT, upper=False).mT
+    return drawn
+
+
+def _information(part: ModelBelief, gels: Response, picture: Linear) -> Tensor:
+    """``1/2 log det(P + J^T J) - 1/2 log det P`` at each gel, with ``P`` the precision of the belief there: ``n``.
+
+    The belief's own Gaussian has ``P = 1``. Where it bends, that Gaussian is far wider than the belief is anywhere, and would
+    credit a design with what is known already.
+    """
+    if part.cloud is None:
+        return picture.information
+    at = part.mean + gels.controls @ part.chol.mT
+    nearest = torch.cdist(at, part.cloud.controls, compute_mode="donot_use_mm_for_euclid_dist").argmin(1)
+    before = part.chol.mT @ part.cloud.precisions[nearest] @ part.chol
+    gained = picture.chol @ picture.chol.mT - torch.eye(before.shape[-1], dtype=before.dtype)
+    return 0.5 * (torch.linalg.slogdet(before + gained).logabsdet - torch.linalg.slogdet(before).logabsdet)
+
+
 def _respond(shot: Shot, controls: Sequence[Tensor]) -> list[Response]:
     """What the camera would see of the draws of each model."""
     return [respond(shot, part, v) for part, v in zip(shot.belief.models, controls, strict=True)]
@@ -79,16 +107,17 @@ def _draw(shot: Shot, draws: int, source: torch.Generator) -> _Drawn:
 
 def laplace(shot: Shot, estimator: Estimator, source: torch.Generator) -> InformationGain:
     """The gain from linearised posteriors and evidences alone."""
-    return _linearised(_draw(shot, estimator.draws, source), shot, estimator)
+    drawn = _observed(_respond(shot, _bent_controls(shot, estimator.draws, source)), shot, source)
+    return _linearised(drawn, shot, estimator)
 
 
 def laplace_each(shot: Shot, estimator: Estimator, seed: int) -> list[InformationGain]:
     """The gain of each design of a shot *alone*, as :func:`laplace` has it, with the bubbles of all simulated together."""
-    responses = _respond(shot, _controls(shot, estimator.draws, generator(seed)))
+    responses = _respond(shot, _bent_controls(shot, estimator.draws, generator(seed)))
     gains = []
     for number in range(len(shot.designs)):
         source, alone = generator(seed), replace(shot, designs=shot.designs[number : number + 1])
-        _controls(shot, estimator.draws, source)  # so that the noise is the one that follows them
+        _bent_controls(shot, estimator.draws, source)  # so that the noise is the one that follows them
         drawn = _observed([seen.of_design(number) for seen in responses], alone, source)
         gains.append(_linearised(drawn, alone, estimator))
     return gains
@@ -99,8 +128,9 @@ def _linearised(drawn: _Drawn, shot: Shot, estimator: Estimator) -> InformationG
     logs = [_linear_evidence(drawn, i, own[i], shot) for i in range(len(own))]
     total = _mixture(logs, shot)
     terms = []
-    for weight, rows, picture, log in zip(_weights(shot), drawn.rows, own, logs, strict=True):
-        terms.append(Terms(weight, picture.information, log[rows] - total[rows], estimator.draws))
+    for i, (weight, rows) in enumerate(zip(_weights(shot), drawn.rows, strict=True)):
+        gained = _information(shot.belief.models[i], drawn.parts[i], own[i])
+        terms.append(Terms(weight, gained, logs[i][rows] - total[rows], estimator.draws))
     return summarise(terms)
 
 

@@ -28,6 +28,19 @@ _QUADRATURE = 64
 
 
 @dataclass(frozen=True)
+class Cloud:
+    """Draws of a belief that bends more than its Gaussian can, each with the shape that the belief has about it.
+
+    Args:
+        controls: ``n x d`` tensor, of equal weight.
+        precisions: ``n x d x d`` tensor, of the controls, locally.
+    """
+
+    controls: Tensor
+    precisions: Tensor
+
+
+@dataclass(frozen=True)
 class ModelBelief:
     """A Gaussian over the controls of one model's free parameters.
 
@@ -37,6 +50,8 @@ class ModelBelief:
         mean: ``d`` tensor, controls (dimensionless).
         chol: ``d x d`` lower triangular tensor, Cholesky factor of the control covariance.
         known: values of the model's independently measured parameters, SI.
+        cloud: where the Gaussian has the moments of the belief but not its shape, draws that have; a design that is chosen by
+            the Gaussian would be asked to learn what is known.
     """
 
     model: str
@@ -44,6 +59,7 @@ class ModelBelief:
     mean: Tensor
     chol: Tensor
     known: Mapping[str, float] = field(default_factory=dict)
+    cloud: Cloud | None = None
 
     def __post_init__(self) -> None:
         kind = material(self.model)
@@ -151,8 +167,12 @@ class ModelBelief:
         return gaussian + sum(weights @ m.log_slope(z[:, i]) for i, m in enumerate(self.marginals))
 
     def with_gaussian(self, mean: Tensor, chol: Tensor) -> "ModelBelief":
-        """The same maps with another Gaussian of the controls."""
-        return replace(self, mean=mean, chol=chol)
+        """The same maps with another Gaussian of the controls, and no cloud."""
+        return replace(self, mean=mean, chol=chol, cloud=None)
+
+    def with_cloud(self, controls: Tensor, precisions: Tensor) -> "ModelBelief":
+        """The same Gaussian with draws that have its shape: ``n x d`` controls and their ``n x d x d`` precisions."""
+        return replace(self, cloud=Cloud(controls, precisions))
 
 
 def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
@@ -162,7 +182,27 @@ def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
     mean = torch.tensor(entry["mean"], dtype=torch.float64)
     chol = torch.tensor(entry["chol"], dtype=torch.float64).reshape(len(mean), len(mean))
     marginals = tuple(marginal_from_dict(m) for m in entry["marginals"])
-    return ModelBelief(entry["model"], marginals, mean, chol, dict(entry["known"]))
+    part = ModelBelief(entry["model"], marginals, mean, chol, dict(entry["known"]))
+    cloud = entry.get("cloud")
+    if cloud is None:
+        return part
+    controls, precisions = (torch.tensor(cloud[name], dtype=torch.float64) for name in ("controls", "precisions"))
+    return part.with_cloud(controls.reshape(-1, len(mean)), precisions.reshape(-1, len(mean), len(mean)))
+
+
+def _part_to_dict(part: ModelBelief) -> dict[str, Any]:
+    """Inverse of :func:`_part_from_dict`."""
+    entry: dict[str, Any] = {
+        "model": part.model,
+        "names": list(part.names),
+        "marginals": [marginal_to_dict(m) for m in part.marginals],
+        "mean": part.mean.tolist(),
+        "chol": part.chol.tolist(),
+        "known": dict(part.known),
+    }
+    if part.cloud is not None:
+        entry["cloud"] = {"controls": part.cloud.controls.tolist(), "precisions": part.cloud.precisions.tolist()}
+    return entry
 
 
 @dataclass(frozen=True)
@@ -289,17 +329,7 @@ class Belief:
         return {
             "format": "imr_torch belief 1",
             "log_probabilities": [None if math.isinf(v) else v for v in self.log_probabilities.tolist()],
-            "models": [
-                {
-                    "model": part.model,
-                    "names": list(part.names),
-                    "marginals": [marginal_to_dict(m) for m in part.marginals],
-                    "mean": part.mean.tolist(),
-                    "chol": part.chol.tolist(),
-                    "known": dict(part.known),
-                }
-                for part in self.models
-            ],
+            "models": [_part_to_dict(part) for part in self.models],
         }
 
     @classmethod
