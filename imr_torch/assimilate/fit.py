@@ -103,7 +103,7 @@ class ModelFit:
 
     @property
     def posterior(self) -> ModelBelief:
-        """The model's belief after the data: the Gaussian or, where that is repaired, moments of the draws and a cloud of them."""
+        """The belief after the data: the Gaussian or, where that is repaired, moments of the draws and a cloud of them."""
         if self.verdict is not Verdict.REPAIRED:
             return self._believed(self.mean, self.chol @ self.chol.mT)
         sample = self.sample

@@ -56,3 +56,20 @@ def test_that_a_ridge_does_not_depend_on_company_and_failing_bubbles_end_one_sid
     assert 3 < len(one_sided.centres) < len(alone.centres)
     (none,) = trace_ridges([fits[1]], batch, LinearSimulator(fails=True))
     torch.testing.assert_close(none.centres, fits[1].mean[None])
+
+
+def test_that_a_repaired_belief_hands_on_a_cloud_with_the_width_that_it_has_locally() -> None:
+    """Across the ridge the moments are many times as wide as the belief is anywhere; a straight one has no cloud."""
+    batch = experiments(3)
+    bent, straight = (
+        weigh(assimilate(prior(("nhkv",)), batch, s, seed=0, options=OPTIONS), s, seed=0).fits[0].posterior
+        for s in (CurvedSimulator(1.5, mute=0.05), CurvedSimulator(0.0, mute=0.05))
+    )
+    assert straight.cloud is None
+    moments = torch.linalg.slogdet(bent.chol @ bent.chol.mT).logabsdet
+    local = -torch.linalg.slogdet(bent.cloud.precisions).logabsdet
+    assert len(local) == 64
+    assert float((moments - local).median()) > 2.0
+    torch.testing.assert_close(bent.cloud.controls.mean(0), bent.mean, rtol=0.0, atol=0.15)
+    scatter = torch.cov(bent.cloud.controls.mT).diagonal().sqrt() / torch.linalg.norm(bent.chol, dim=1)
+    assert bool(((scatter > 0.85) & (scatter < 1.15)).all())

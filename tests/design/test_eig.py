@@ -44,6 +44,22 @@ def gain(belief, designs, how, estimator, *, camera=None, seed=0):
     return expected_information_gain(belief, designs, camera or LinearCamera(), how, estimator=estimator, seed=seed)
 
 
+@pytest.mark.parametrize("draws", [6, 100])
+def test_that_a_belief_that_bends_gains_as_its_cloud_and_not_as_its_gaussian(draws):
+    """The draws of a narrow belief inside a Gaussian five times as wide: the gain is that of the narrow one."""
+    part, how, estimator = correlated().models[0], plan(repeats=10), Estimator("laplace", draws=draws)
+    narrow, controls = correlated(), part.controls(32, seed=0)
+    precision = torch.cholesky_inverse(part.chol).expand(32, -1, -1)
+    wide = replace(part, chol=5.0 * part.chol)
+    bent = Belief((wide.with_cloud(controls, precision),), torch.zeros(1, dtype=torch.float64))
+    fat = Belief((wide,), torch.zeros(1, dtype=torch.float64))
+    found = gain(bent, DESIGNS[:1], how, estimator)
+    assert found.value == pytest.approx(exact(narrow, DESIGNS[:1], how), rel=1e-7)
+    assert gain(fat, DESIGNS[:1], how, estimator).value > found.value + 2.0
+    each = gains_of_each(bent, DESIGNS, LinearCamera(), how, estimator=estimator, seed=0)
+    assert each[0].value == pytest.approx(found.value, rel=1e-9)
+
+
 @pytest.mark.parametrize("estimator", EXACT, ids=lambda e: e.method)
 @pytest.mark.parametrize("q", [1, 2])
 @pytest.mark.parametrize(
