@@ -1,11 +1,12 @@
 """How often the diagnosis is right: synthetic sets with none, one, a withheld or two effects, scored beside usual ways.
 
-  python -m benchmarks.gap run OUT.jsonl [--sets 25] [--kinds none,effect,withheld,pair] [--sizes 3x10,10x10,3x100]
+  python -m benchmarks.gap run OUT.jsonl [--sets 25] [--kinds none,effect,withheld,pair,next] [--sizes 3x10,10x10,3x100]
                                [--physics polytropic] [--nuisances] [--seed 0] [--workers 2] [--onset] [--shrinkage]
   python -m benchmarks.gap table OUT.jsonl ... [--json ROWS.json]
 
 One line a set is appended as it finishes, and sets that have a line are not run again, so a run can be stopped, resumed and
-extended at will. Pairs have 5 designs x 100 repeats whatever the sizes. Thresholds are those of the library; they are printed,
+extended at will. Pairs have 5 designs x 100 repeats whatever the sizes, and "next" (designs chosen to tell causes apart against
+random ones) 3 designs of one curve. Thresholds are those of the library; they are printed,
 and their hash stands in every line.
 """
 
@@ -30,7 +31,7 @@ from imr_torch.gap import library
 from imr_torch.gap.diagnose import impatient
 from imr_torch.simulate import process_pool, simulate_together
 
-_PAIRS = "5x100"
+_OWN_SIZE = {"pair": "5x100", "next": "3x1"}
 
 
 def tasks(
@@ -51,7 +52,7 @@ def tasks(
     library(effects or None)
     for number in range(seed, seed + sets):
         for kind in kinds:
-            for size in (_PAIRS,) if kind == "pair" else sizes:
+            for size in (_OWN_SIZE[kind],) if kind in _OWN_SIZE else sizes:
                 designs, repeats = _size(size)
                 yield Task(kind, designs, repeats, physics, number, nuisances, tuple(effects))
 

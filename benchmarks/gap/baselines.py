@@ -62,9 +62,7 @@ def _closed_set(report: GapReport, offered: Sequence[Effect], simulator: Simulat
     if report.attribution is not None:
         return report.attribution.winner.split("+")[0]  # selection starts with that effect
     hypotheses = [Hypothesis(report.null.prior, (effect,)) for effect in offered]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        fits = fit_hypotheses(hypotheses, report.null, report.batch, simulator, seed=seed)
+    fits = fit_hypotheses(hypotheses, report.null, report.batch, simulator, seed=seed)
     return max(fits, key=lambda name: laplace_evidence(fits[name]))
 
 

@@ -9,10 +9,12 @@ from dataclasses import dataclass, is_dataclass
 from typing import Any
 
 from benchmarks.gap.baselines import baselines
+from benchmarks.gap.identity import compare_designs
 from benchmarks.gap.sets import SyntheticSet, Task, make_set
 from imr_torch.assimilate import EnsembleOptions
 from imr_torch.gap import LIBRARY, GapReport, diagnose, to_json
 from imr_torch.gap.attribute import ADEQUATE, adequacy_test
+from imr_torch.gap.diagnose import impatient
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses
 from imr_torch.gap.locate import onset
 from imr_torch.gap.shrinkage import held_out, shrinkage_unseen
@@ -69,6 +71,9 @@ def run_task(task: Task, extras: Extras | None = None, simulator: Simulator | No
     line: dict[str, Any] = {"key": task.key, "kind": task.kind, "size": task.size, "physics": task.physics}
     line |= {"nuisances": task.nuisances, "seed": task.seed, "frozen": frozen()}
     try:
+        if task.kind == "next":
+            no_verdict = {"gap": False, "verdict": "next", "cause": []}
+            return line | no_verdict | compare_designs(task, impatient(simulator or task.simulator()))
         data = make_set(task)
         line |= {"truth": list(data.truth), "values": data.values, "signal": data.signal, "phase": data.phase}
         line |= {"designs": [list(e.design) for e in data.experiments], "offered": len(data.offered)}

@@ -19,7 +19,7 @@ from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, pred
 from imr_torch.random import child, generator
 from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, TransportSimulator
 
-KINDS = ("none", "effect", "withheld", "pair")
+KINDS = ("none", "effect", "withheld", "pair", "next")
 PHYSICS = ("polytropic", "transport")
 UNSEEN = 2  # designs beside those diagnosed, to judge shrinkage on
 
@@ -30,7 +30,7 @@ _AMPLITUDE = (0.2, 2.0)  # in prior standard deviations
 _ACTS = 0.1  # least sd: what acts less does nothing in this physics
 _SEEN = 4.0  # sd beside G and mu at which an effect counts as detectable
 _LOUD = 4.5  # sd at which one test of hundreds rejects at one per cent
-_DRAWS = {"none": 0, "effect": 4, "withheld": 4, "pair": 8}  # effects drawn, of which detectable ones come first
+_DRAWS = {"none": 0, "effect": 4, "withheld": 4, "pair": 8, "next": 4}  # effects drawn, of which detectable ones come first
 _ATTEMPTS = 20
 
 
@@ -137,7 +137,7 @@ def make_set(task: Task) -> SyntheticSet:
 
 def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
     gel = {name: _log_uniform(bounds, source) for name, bounds in _GEL.items()}
-    plan = _plan(draw_designs(task.designs + UNSEEN, source), task)
+    plan = make_plan(draw_designs(task.designs + UNSEEN, source), task)
     drawn = [draw_effect(_one_of(task.candidates, source), source) for _ in range(_DRAWS[task.kind])]
     by_phase = _signals(gel, drawn, ExperimentBatch(plan.experiments[: task.designs]), task)
     signals = [row[-1] for row in by_phase]
@@ -145,6 +145,23 @@ def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
     if chosen is None:
         return None
     values = gel | {name: value for i in chosen for name, value in drawn[i][1].items()}
+    filmed = film(values, plan, task, source)
+    if filmed is None:
+        return None
+    experiments, curves = filmed
+    truth = tuple(drawn[i][0].name for i in chosen)
+    hidden = {drawn[i][0].family for i in chosen} if task.kind == "withheld" else set()
+    offered = tuple(effect for effect in task.candidates if effect.family not in hidden)
+    signal = {drawn[i][0].name: signals[i] for i in chosen}
+    loud = [place for i in chosen for place, size in enumerate(by_phase[i]) if size >= _LOUD]
+    phase = PHASES[min(loud)] if loud else "none"
+    return SyntheticSet(experiments[: task.designs], experiments[task.designs :], curves, truth, offered, values, signal, phase)
+
+
+def film(
+    values: dict[str, float], plan: ExperimentBatch, task: Task, source: torch.Generator
+) -> tuple[tuple[Experiment, ...], Tensor] | None:
+    """Shoot a plan: what the camera gives, and the true curves (``E x n_t``); None where a bubble cannot be simulated."""
     shifts = torch.randn(1, len(plan.experiments), 3, generator=source, dtype=torch.float64) * plan.nuisance_sds
     curves = predict(task.simulator(fine=True), PARAMETERS.pack(values)[None], plan, shifts)[0]
     if not bool(torch.isfinite(curves).all()):
@@ -153,13 +170,7 @@ def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
         Experiment(e.label, e.design, e.times, Noise().draw(r, e.times, task.repeats, generator=source), e.nuisance)
         for e, r in zip(plan.experiments, curves, strict=True)
     )
-    truth = tuple(drawn[i][0].name for i in chosen)
-    hidden = {drawn[i][0].family for i in chosen} if task.kind == "withheld" else set()
-    offered = tuple(effect for effect in task.candidates if effect.family not in hidden)
-    signal = {drawn[i][0].name: signals[i] for i in chosen}
-    loud = [place for i in chosen for place, size in enumerate(by_phase[i]) if size >= _LOUD]
-    phase = PHASES[min(loud)] if loud else "none"
-    return SyntheticSet(filmed[: task.designs], filmed[task.designs :], curves, truth, offered, values, signal, phase)
+    return filmed, curves
 
 
 def _one_of(effects: tuple[Effect, ...], source: torch.Generator) -> Effect:
@@ -183,7 +194,7 @@ def draw_designs(count: int, source: torch.Generator) -> Tensor:
     return torch.stack((weber, _REST[0] + (_REST[1] - _REST[0]) * unit[:, 1]), 1)
 
 
-def _plan(designs: Tensor, task: Task) -> ExperimentBatch:
+def make_plan(designs: Tensor, task: Task) -> ExperimentBatch:
     """Experiments before they are shot."""
     times = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
     nuisance, blank = NUISANCE if task.nuisances else Nuisance(), torch.ones(1, 81, dtype=torch.float64)

@@ -33,6 +33,7 @@ def assimilate(
     near: Assimilation | None = None,
     starts: Sequence[Tensor] | None = None,
     nuisances: Sequence[Tensor] | None = None,
+    warn: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:
     """Fit every model of a belief to a batch of experiments.
@@ -48,10 +49,11 @@ def assimilate(
         starts: per model, two or more rows of ``d`` controls ``v`` (see :class:`imr_torch.assimilate.ModelFit`) to start from,
             in place of scouts.
         nuisances: per model, ``E x 3`` standardised nuisances with which its starts begin; zero by default.
+        warn: whether a fit that did not converge gives a ``ConvergenceWarning``; False where the caller reads certificates.
         progress: called with one line per iteration.
 
     Returns:
-        A fit per model, each with its certificate. A fit that did not converge also gives a ``ConvergenceWarning``.
+        A fit per model, each with its certificate.
 
     Raises:
         InputDataError: if the ensemble is too small for the number of parameters.
@@ -75,6 +77,6 @@ def assimilate(
             progress(f"assimilation: iteration {iteration + 1}, {search.report()}")
     fits = search.fits()
     for fit in fits:
-        if not fit.certificate.converged:
+        if warn and not fit.certificate.converged:
             warnings.warn(f"{fit.model}: {fit.certificate}", ConvergenceWarning, stacklevel=2)
     return Assimilation(belief, batch, fits)

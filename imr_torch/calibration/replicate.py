@@ -10,7 +10,6 @@ One replicate serves all these questions, and replicates are simulated together.
 
 import math
 import time
-import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -20,7 +19,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, EnsembleOptions, ImportanceSample, ModelFit, assimilate, weigh
 from imr_torch.design import Plan
-from imr_torch.errors import ConvergenceError, ConvergenceWarning
+from imr_torch.errors import ConvergenceError
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, SimulatedLaboratory, collapse_time
 from imr_torch.random import child, generator
@@ -111,11 +110,9 @@ def calibrate(
     Yields:
         Replicates as they end.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # each replicate says it
-        tasks = (partial(_replicate, arrangement, number, child(seed, "replicate", number)) for number in numbers)
-        for _, replicate in simulate_together(tasks, simulator, at_once=at_once):
-            yield replicate
+    tasks = (partial(_replicate, arrangement, number, child(seed, "replicate", number)) for number in numbers)
+    for _, replicate in simulate_together(tasks, simulator, at_once=at_once):
+        yield replicate
 
 
 @dataclass(frozen=True)
@@ -136,7 +133,8 @@ def _replicate(arrangement: Arrangement, number: int, seed: int, simulator: Simu
     learn = arrangement.learn or partial(_as_it_is, noise=arrangement.plan.noise)
     batch = learn(truth.experiment)
     try:
-        fitted = assimilate(arrangement.prior, batch, simulator, seed=child(seed, "fit"), options=arrangement.options)
+        own = child(seed, "fit")
+        fitted = assimilate(arrangement.prior, batch, simulator, seed=own, options=arrangement.options, warn=False)
         result = weigh(fitted, simulator, seed=child(seed, "weigh"), samples=arrangement.samples)
     except ConvergenceError as error:
         return Replicate(number, truth.model, redrawn=truth.redrawn, failure=str(error))

@@ -9,14 +9,12 @@ what it could gain, ``1/(-e p ln p)``.
 """
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from torch import Tensor
 
 from imr_torch.assimilate import EnsembleOptions, ModelFit
-from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap.effects import Effect
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.gap.linear import Linearisation, linearise
@@ -97,9 +95,7 @@ def attribute(
     hypotheses = [Hypothesis(base, (*with_, effect)) for effect in effects]
     if progress:
         progress(f"attribution: {len(effects)} effects")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # the certificate of the one that is named is looked at
-        found = fit_hypotheses(hypotheses, null, batch, simulator, seed=seed, starts=starts, options=_FIT, progress=progress)
+    found = fit_hypotheses(hypotheses, null, batch, simulator, seed=seed, starts=starts, options=_FIT, progress=progress)
     fits = {null_name: null} | found
     evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
     winner = max((name for name in fits if name != null_name), key=lambda name: evidence[name])

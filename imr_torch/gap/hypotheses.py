@@ -4,7 +4,6 @@ A hypothesis is the base model's prior with the effects' priors beside it, so ev
 models does so for causes. Fits of effects start at the null fit, with the effect at each of its starts.
 """
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -12,7 +11,6 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate
-from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap.effects import Effect
 from imr_torch.material import PARAMETERS, Belief, Marginal, ModelBelief
 from imr_torch.observe import ExperimentBatch
@@ -94,9 +92,8 @@ def fit_null(
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
     if isinstance(getattr(simulator, "simulator", simulator), PolytropicSimulator):  # behind workers, or a crowd
         return assimilate(belief, batch, simulator, seed=seed, progress=progress).fits[0]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        rough = assimilate(belief, batch, PolytropicSimulator(simulator.conditions), seed=seed, options=_ROUGH).fits[0]
+    cheap = PolytropicSimulator(simulator.conditions)
+    rough = assimilate(belief, batch, cheap, seed=seed, options=_ROUGH, warn=False).fits[0]
     spread = _APART * torch.randn(2, len(rough.mean), generator=generator(child(seed, "null")), dtype=torch.float64)
     starts = torch.cat((rough.mean[None], rough.mean + spread))
     options = EnsembleOptions(blunt=True)  # the polytropic collapse may be on another side of a frame
@@ -127,7 +124,7 @@ def fit_hypotheses(
         progress: called with one line per iteration.
 
     Returns:
-        Name of the hypothesis -> fit.
+        Name of the hypothesis -> fit, whose certificate is for the caller to read.
     """
     rows = [h.starts(null, (starts or {}).get(h.effects[-1].name)) for h in hypotheses]
     beliefs = tuple(h.belief for h in hypotheses)
@@ -140,6 +137,7 @@ def fit_hypotheses(
         options=options,
         starts=rows,
         nuisances=[null.nuisances] * len(rows),
+        warn=False,
         progress=progress,
     )
     return {h.name: fit for h, fit in zip(hypotheses, found.fits, strict=True)}

@@ -10,7 +10,6 @@ the difference in held-out log predictive density (Vehtari, Gelman & Gabry, Stat
 """
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,7 +19,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from imr_torch.assimilate import EnsembleOptions, ModelFit, assimilate
-from imr_torch.errors import ConvergenceWarning, InputDataError
+from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
 from imr_torch.gap.linear import linearise
 from imr_torch.material import Belief
@@ -276,12 +275,10 @@ def _hold_out(
 
     parts: dict[tuple[str, int], HeldOut] = {}
     tasks = [partial(judge, number) for number in range(len(groups))]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # it is in the result
-        for number, found in simulate_together(tasks, simulator):
-            parts |= found
-            if progress:
-                progress(f"shrinkage: judged on {', '.join(batch.experiments[i].label for i in groups[number])}")
+    for number, found in simulate_together(tasks, simulator):
+        parts |= found
+        if progress:
+            progress(f"shrinkage: judged on {', '.join(batch.experiments[i].label for i in groups[number])}")
     return {name: [parts[name, i] for i in range(count)] for name in fits}
 
 
@@ -301,7 +298,7 @@ def _train(
     nuisances = [fit.nuisances[list(designs)] for fit in fits.values()]
     belief = Belief(tuple(fit.prior for fit in fits.values()), torch.zeros(len(fits), dtype=torch.float64))
     training = _part(batch, designs)
-    found = assimilate(belief, training, simulator, seed=seed, options=_OPTIONS, starts=starts, nuisances=nuisances)
+    found = assimilate(belief, training, simulator, seed=seed, options=_OPTIONS, starts=starts, nuisances=nuisances, warn=False)
     return dict(zip(fits, found.fits, strict=True))
 
 

@@ -279,6 +279,14 @@ def test_that_a_fit_that_was_cut_short_warns_and_says_so() -> None:
     assert result.fits[0].certificate.gradient > OPTIONS.gradient
 
 
+def test_that_a_caller_who_reads_certificates_is_not_warned() -> None:
+    options = replace(OPTIONS, iterations=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = assimilate(prior(("nhkv",)), experiments(3), LinearSimulator(), seed=1, options=options, warn=False)
+    assert not result.converged
+
+
 def test_that_a_simulator_that_always_fails_is_a_convergence_error() -> None:
     with pytest.raises(ConvergenceError, match=r"nhkv: 0 of 24 prior draws could be simulated; check units and bounds"):
         fitted(prior(("nhkv",)), experiments(2), LinearSimulator(fails=True))

@@ -12,6 +12,7 @@ from benchmarks.gap.run import frozen, run_task, thresholds
 from benchmarks.gap.sets import Task, choose, draw_designs, draw_effect, make_set
 from benchmarks.gap.table import (
     Row,
+    amounts,
     both_right,
     clopper_pearson,
     controls,
@@ -25,6 +26,7 @@ from benchmarks.gap.table import (
     shares,
     table,
 )
+from imr_torch.design import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.gap import LIBRARY
 from imr_torch.observe import ExperimentBatch
@@ -148,6 +150,21 @@ def test_that_a_table_of_the_run_has_every_figure(made, tmp_path, capsys) -> Non
     assert {row["figure"] for row in json.loads((tmp_path / "rows.json").read_text())["polytropic"]} > {
         "pairs: both named right"
     }
+
+
+def test_that_both_arms_begin_with_one_design_and_the_chosen_ones_can_be_shot() -> None:
+    found = run_task(Task("next", 2, 1, "polytropic", 3, effects=SMALL))
+    assert "error" not in found
+    assert found["designs"][0] == found["chosen_designs"][0]
+    assert found["designs"][1] != found["chosen_designs"][1]
+    assert len(found["gains"]) == 1
+    assert found["gains"][0] > 0.0
+    DesignSpace().check(torch.tensor(found["chosen_designs"], dtype=torch.float64))
+    assert all(0.0 < found["p_true"][arm] < 1.0 for arm in ("chosen", "random"))
+    rows = amounts([found | {"p_true": {"chosen": 0.5 + a, "random": 0.5 - a}} for a in (0.1, 0.2, 0.3)])
+    row = value_of(rows, "gain of designs that tell causes apart over random ones, mean P(true effect)", "3x1")
+    assert (row.value, row.count) == (pytest.approx(0.4), 3)
+    assert row.high - row.low == pytest.approx(2.0 * 1.645 * 0.2 / math.sqrt(3.0))
 
 
 def test_that_thresholds_are_those_of_the_library_and_a_change_shows() -> None:
