@@ -91,7 +91,7 @@ class Task:
         counting, print_ = Counting(simulator), partial(print, f"{self.file.stem}:", flush=True)
         name = {"set": self.file.stem}
         try:
-            traces = _some(load_traces(self.file), self.curves)
+            traces = some(load_traces(self.file), self.curves)
             tail = all(find_landmarks(trace).rest_radius_m is not None for trace in traces)
             fit = partial(characterize, traces, simulator=counting, options=self.options, seed=SEED, progress=print_)
             result = fit() if tail else fit(rest_radius=REST)
@@ -115,7 +115,7 @@ class Task:
         plt.close(figure)
 
 
-def _some(traces: TraceSet, most: int) -> TraceSet:
+def some(traces: TraceSet, most: int) -> TraceSet:
     """At most so many traces, evenly spread."""
     names = [trace.experiment_id for trace in traces]
     if most == 0 or len(names) <= most:
