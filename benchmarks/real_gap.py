@@ -80,9 +80,7 @@ def line(row: dict[str, Any]) -> str:
         ", ".join(f"{name} {p:.2f}" for name, p in _most(row["posterior"])),
         "" if row["adequacy_p"] is None else f"{row['adequacy_p']:.1g}",
         ", ".join(f"{name} {low:.2f} to {high:.2f}" for name, (low, _, high) in (row["shrinkage"] or {}).items()),
-        ", ".join(
-            f"{name} {s['base'][1]:.3g} to {s['with_cause'][1]:.3g}" for name, s in (row["parameter_shift"] or {}).items()
-        ),
+        ", ".join(f"{name} {x['base'][1]:.3g} to {x['with_cause'][1]:.3g}" for name, x in shifts.items()),
     ]
     return "| " + " | ".join(cells) + " |"
 
