@@ -126,12 +126,12 @@ def ensemble_sensitivity(anomalies: Tensor, responses: Tensor) -> Tensor:
         responses: ``... x N x m`` tensor, members' predictions minus the centre's; a member with NaN does not count.
 
     Returns:
-        ``... x m x d`` tensor.
+        ``... x m x d`` tensor; zero where no member counts.
     """
     good = torch.isfinite(responses).all(-1, keepdim=True)
     controls = torch.where(good, anomalies, 0.0)
     values = torch.where(good, responses, 0.0)
     gram = controls.mT @ controls
-    ridge = 1e-13 * gram.diagonal(dim1=-2, dim2=-1).mean(-1)[..., None, None]
+    ridge = 1e-13 * gram.diagonal(dim1=-2, dim2=-1).mean(-1).clamp_min(1e-100)[..., None, None]
     gram = gram + ridge * torch.eye(gram.shape[-1], dtype=gram.dtype, device=gram.device)
     return torch.linalg.solve(gram, controls.mT @ values).mT

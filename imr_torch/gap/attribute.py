@@ -16,7 +16,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import EnsembleOptions, ModelFit
 from imr_torch.gap.effects import Effect
-from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
+from imr_torch.gap.hypotheses import SPREAD, Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.gap.linear import Linearisation, linearise
 from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_blocks, promising_starts
 from imr_torch.material import ModelBelief
@@ -30,7 +30,7 @@ ADEQUATE = 0.01
 """Below this ``p_ad`` the winner leaves a gap, and the verdict is a further effect or "other"."""
 
 _MASKED = 0.35  # chance that some effect of the library is adequate although the true one is not in it
-_FIT = EnsembleOptions(starts=2, iterations=30, hopeless=6.0)
+_FIT = EnsembleOptions(starts=2, iterations=30, spread=SPREAD, hopeless=6.0)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,9 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import PolytropicSimulator, Simulator
 from imr_torch.types import Progress
 
+SPREAD = 1e-5
+"""Of ensembles: differences on one side err by curvature times residual, and a gap may leave residuals of many sd."""
+
 _ROUGH = EnsembleOptions(gradient=1e-2, starts=2)
 _APART = 0.3  # prior standard deviations between the starts of the null fit
 
@@ -91,12 +94,13 @@ def fit_null(
     """
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
     if isinstance(getattr(simulator, "simulator", simulator), PolytropicSimulator):  # behind workers, or a crowd
-        return assimilate(belief, batch, simulator, seed=seed, progress=progress).fits[0]
+        own = EnsembleOptions(spread=SPREAD)
+        return assimilate(belief, batch, simulator, seed=seed, options=own, progress=progress).fits[0]
     cheap = PolytropicSimulator(simulator.conditions)
     rough = assimilate(belief, batch, cheap, seed=seed, options=_ROUGH, warn=False).fits[0]
     spread = _APART * torch.randn(2, len(rough.mean), generator=generator(child(seed, "null")), dtype=torch.float64)
     starts = torch.cat((rough.mean[None], rough.mean + spread))
-    options = EnsembleOptions(blunt=True)  # the polytropic collapse may be on another side of a frame
+    options = EnsembleOptions(spread=SPREAD, blunt=True)  # the polytropic collapse may be on another side of a frame
     return assimilate(belief, batch, simulator, seed=seed, starts=[starts], options=options, progress=progress).fits[0]
 
 

@@ -168,6 +168,13 @@ def test_that_members_that_failed_do_not_count() -> None:
     torch.testing.assert_close(ensemble_sensitivity(anomalies, responses), matrix, rtol=1e-9, atol=1e-9)
 
 
+def test_that_nothing_is_seen_by_an_ensemble_of_which_all_failed_in_one_experiment() -> None:
+    matrix, anomalies = random(5, SIZE, seed=1), random(4, SIZE, seed=2)
+    responses = torch.stack((anomalies @ matrix.mT, torch.full((4, 5), torch.nan, dtype=torch.float64)))
+    expected = torch.stack((matrix, torch.zeros_like(matrix)))
+    torch.testing.assert_close(ensemble_sensitivity(anomalies.expand(2, -1, -1), responses), expected, rtol=1e-9, atol=1e-9)
+
+
 def test_that_opposite_pairs_leave_no_error_of_second_order() -> None:
     """A quadratic response is even: antithetic members see only its slope, one-sided members also its curvature."""
     half = 0.1 * random(6, SIZE, seed=3)
