@@ -1,10 +1,10 @@
 """Where the base model fails on measured curves: every file of a folder through `diagnose`, with a page for each.
 
-  python benchmarks/real_gap.py FOLDER [--sets gelatin,pa] [--curves 2] [--base nhkv] [--at-once 4] [--out out/real_gap]
+  python benchmarks/real_gap.py FOLDER [--sets gelatin,pa] [--curves 2] [--collapses 4] [--base nhkv] [--at-once 4] [--out ...]
 
 FOLDER holds one CSV file a gel, as `load_traces` reads them. Heat and vapour transport, noise from the roughness of the curves,
-Rmax, time zero and R_inf of each curve uncertain, window of two collapses; records without a tail are given R_inf/Rmax = .2 +-
-.08. Each set leaves NAME.html and NAME.txt in the folder of results and a line in rows.jsonl; sets that have a line are not run
+Rmax, time zero and R_inf of each curve uncertain, window of four collapses, as a gap may begin behind the two that are usual in
+a fit; records without a tail are given R_inf/Rmax = .2 +- .08. Each set leaves NAME.html and NAME.txt in the folder of results and a line in rows.jsonl; sets that have a line are not run
 again.
 """
 
@@ -26,8 +26,6 @@ from imr_torch.material import wide_prior
 from imr_torch.observe import find_landmarks
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator, simulate_together
 
-_COLLAPSES = 2
-
 
 @dataclass(frozen=True)
 class Task:
@@ -36,12 +34,14 @@ class Task:
     Args:
         file: its curves.
         curves: most that are diagnosed, evenly spread over the file; 0 for all.
+        collapses: in the window of a curve.
         base: model that is put to the test.
         out: folder of the pages.
     """
 
     file: Path
     curves: int
+    collapses: int
     base: str
     out: Path
 
@@ -51,7 +51,7 @@ class Task:
         try:
             traces = some(load_traces(self.file), self.curves)
             tail = all(find_landmarks(trace).rest_radius_m is not None for trace in traces)
-            experiments = prepare(traces, simulator, collapses=_COLLAPSES, rest_radius=None if tail else REST)[0]
+            experiments = prepare(traces, simulator, collapses=self.collapses, rest_radius=None if tail else REST)[0]
             noise, base = noise_of_traces(experiments), wide_prior((self.base,)).models[0]
             effects = library(base=self.base)
             report = diagnose(
@@ -102,6 +102,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--sets", help="only files whose names begin with one of these, comma-separated, in this order")
     parser.add_argument("--curves", type=int, default=2, help="most curves of a file, evenly spread; 0 for all")
+    parser.add_argument("--collapses", type=int, default=4, help="in the window of a curve")
     parser.add_argument("--base", default="nhkv", help="model that is put to the test")
     parser.add_argument("--at-once", type=int, default=4, help="gels diagnosed side by side")
     parser.add_argument("--out", type=Path, default=Path("out/real_gap"), help="folder of results and pages")
@@ -113,7 +114,7 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     path = args.out / "rows.jsonl"
     rows = {row["set"]: row for row in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
-    tasks = [Task(f, args.curves, args.base, args.out) for f in files if f.stem not in rows]
+    tasks = [Task(f, args.curves, args.collapses, args.base, args.out) for f in files if f.stem not in rows]
     with path.open("a") as stream:
         for _, row in simulate_together(tasks, TransportSimulator(accuracy=ACCURACIES["search"]), at_once=args.at_once):
             stream.write(json.dumps(row) + "\n")
