@@ -4,8 +4,8 @@
 
 FOLDER holds one CSV file a gel, as `load_traces` reads them. Heat and vapour transport, noise from the roughness of the curves,
 Rmax, time zero and R_inf of each curve uncertain, window of four collapses, as a gap may begin behind the two that are usual in
-a fit; records without a tail are given R_inf/Rmax = .2 +- .08. Each set leaves NAME.html and NAME.txt in the folder of results and a line in rows.jsonl; sets that have a line are not run
-again.
+a fit; records without a tail are given R_inf/Rmax = .2 +- .08. Each set leaves NAME.html and NAME.txt in the folder of results
+and a line in rows.jsonl; sets that have a line are not run again.
 """
 
 import argparse
