@@ -16,7 +16,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import EnsembleOptions, ModelFit
 from imr_torch.gap.effects import Effect
-from imr_torch.gap.hypotheses import SPREAD, Hypothesis, fit_hypotheses, laplace_evidence
+from imr_torch.gap.hypotheses import SPREAD, Hypothesis, finish, fit_hypotheses, laplace_evidence
 from imr_torch.gap.linear import Linearisation, linearise
 from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_blocks, promising_starts
 from imr_torch.material import ModelBelief
@@ -99,6 +99,9 @@ def attribute(
     fits = {null_name: null} | found
     evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
     winner = max((name for name in fits if name != null_name), key=lambda name: evidence[name])
+    if not fits[winner].certificate.converged:
+        fits[winner] = finish(fits[winner], batch, simulator, seed=child(seed, "finish"), progress=progress)
+        evidence[winner] = laplace_evidence(fits[winner])
     left = adequacy_test(fits[winner], effects, batch, simulator, seed=child(seed, "adequacy"))
     posterior, families = _weigh(evidence, effects, tuple(with_), left.test.p_value)
     return Attribution(fits, evidence, posterior, families, winner, left.test, left.starts)

@@ -147,6 +147,16 @@ def fit_hypotheses(
     return {h.name: fit for h, fit in zip(hypotheses, found.fits, strict=True)}
 
 
+def finish(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None = None
+) -> ModelFit:
+    """A fit that was cut short, taken up where it ended and from beside it, with a certificate of its own."""
+    options = EnsembleOptions(starts=2, spread=SPREAD)
+    near = as_assimilation(fit, batch)
+    found = assimilate(near.prior, batch, simulator, seed=seed, options=options, near=near, warn=False, progress=progress)
+    return found.fits[0]
+
+
 def as_assimilation(fit: ModelFit, batch: ExperimentBatch) -> Assimilation:
     """One fit as an assimilation, for functions that take one."""
     return Assimilation(Belief((fit.prior,), torch.zeros(1, dtype=torch.float64)), batch, (fit,))

@@ -5,10 +5,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from imr_torch.gap.attribute import PRIOR_NONE, PRIOR_OTHER, Attribution, _weigh
+from imr_torch.assimilate import EnsembleOptions
+from imr_torch.gap.attribute import PRIOR_NONE, PRIOR_OTHER, Attribution, _weigh, attribute
 from imr_torch.gap.diagnose import impatient
-from imr_torch.gap.effects import library
+from imr_torch.gap.effects import LIBRARY, library
+from imr_torch.gap.hypotheses import laplace_evidence
 from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator
+from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 
 EFFECTS = library(["residual_velocity", "trigger_offset", "gas_loss", "wall"])  # the first two are one family
 EVEN = dict.fromkeys(["none", *(e.name for e in EFFECTS)], -3.0)
@@ -58,6 +61,17 @@ def test_that_the_credible_set_is_the_smallest_that_reaches_its_level() -> None:
     assert found.credible_set(0.5) == ("a",)
     assert found.credible_set(0.85) == ("a", "b")
     assert found.credible_set(0.95) == ("a", "b", "none")
+
+
+def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch) -> None:
+    batch = shoot({"gas_loss": 0.2})
+    null = fit(batch)
+    monkeypatch.setattr("imr_torch.gap.attribute._FIT", EnsembleOptions(starts=2, iterations=2))
+    found = attribute(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), null, {}, batch, SIMULATOR, seed=0)
+    assert found.winner == "gas_loss"
+    assert found.fits["gas_loss"].certificate.converged
+    assert not found.fits["surface_tension"].certificate.converged
+    assert found.log_evidence["gas_loss"] == pytest.approx(laplace_evidence(found.fits["gas_loss"]))
 
 
 def test_that_few_steps_of_polytropic_bubbles_are_taken_by_workers_too() -> None:
