@@ -10,7 +10,7 @@ so a run that was cut off continues. `--scores` adds held-out log densities, for
 
 import argparse
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -254,6 +254,44 @@ def _score(scores: dict[str, Any] | None) -> str:
     return f"{order[0][0]} by {gap:.1f} +- {error:.1f}"
 
 
+def chosen_files(folder: Path, begin_with: str | None) -> list[Path]:
+    """CSV files of a folder; those whose names begin with one of some words, comma-separated, in the order of the words."""
+    files = sorted(folder.glob("*.csv"))
+    return [f for begin in begin_with.split(",") for f in files if f.stem.startswith(begin)] if begin_with else files
+
+
+def run_missing(
+    tasks: Mapping[str, Callable[[Simulator], dict[str, Any]]],
+    path: Path,
+    simulator: Simulator,
+    *,
+    at_once: int,
+    line: Callable[[dict[str, Any]], str],
+) -> list[dict[str, Any]]:
+    """Run the tasks that have no row in a file yet, side by side, and append theirs.
+
+    Args:
+        tasks: name of a set -> what makes its row.
+        path: the file, one JSON row a line.
+        simulator: makes the bubbles of all.
+        at_once: sets side by side.
+        line: a row as a line of the table, printed as it comes.
+
+    Returns:
+        Rows of all tasks, in their order.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows = {row["set"]: row for row in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
+    missing = [task for name, task in tasks.items() if name not in rows]
+    with path.open("a") as stream:
+        for _, row in simulate_together(missing, simulator, at_once=at_once):
+            stream.write(json.dumps(row) + "\n")
+            stream.flush()
+            rows[row["set"]] = row
+            print(line(row), flush=True)
+    return [rows[name] for name in tasks]
+
+
 def main() -> None:
     """Fit what is missing and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -268,21 +306,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/real_data"), help="folder of results and figures")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    files = sorted(args.folder.glob("*.csv"))
-    if args.sets:
-        files = [f for begin in args.sets.split(",") for f in files if f.stem.startswith(begin)]
-    args.out.mkdir(parents=True, exist_ok=True)
     path = args.out / f"rows-{args.physics}-{args.curves}{'-scores' if args.scores else ''}.jsonl"
-    rows = {row["set"]: row for row in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
     options = EnsembleOptions(starts=args.starts, scouts=args.scouts, hopeless=_HOPELESS)
-    tasks = [Task(f, args.curves, args.scores, args.out, options) for f in files if f.stem not in rows]
-    with path.open("a") as stream:
-        for _, row in simulate_together(tasks, SIMULATORS[args.physics](), at_once=args.at_once):
-            stream.write(json.dumps(row) + "\n")
-            stream.flush()
-            rows[row["set"]] = row
-            print(_line(row), flush=True)
-    print("\n" + table(rows[f.stem] for f in files))
+    tasks = {f.stem: Task(f, args.curves, args.scores, args.out, options) for f in chosen_files(args.folder, args.sets)}
+    rows = run_missing(tasks, path, SIMULATORS[args.physics](), at_once=args.at_once, line=_line)
+    print("\n" + table(rows))
 
 
 if __name__ == "__main__":

@@ -9,14 +9,13 @@ and a line in rows.jsonl; sets that have a line are not run again.
 """
 
 import argparse
-import json
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
-from real_data import REST, SEED, some
+from real_data import REST, SEED, chosen_files, run_missing, some
 
 from imr_torch import load_traces
 from imr_torch.characterize import prepare
@@ -24,7 +23,7 @@ from imr_torch.errors import ImrError
 from imr_torch.gap import describe, diagnose, examine, library, noise_of_traces, to_json, write_page
 from imr_torch.material import wide_prior
 from imr_torch.observe import find_landmarks
-from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator, simulate_together
+from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 
 
 @dataclass(frozen=True)
@@ -108,20 +107,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/real_gap"), help="folder of results and pages")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    files = sorted(args.folder.glob("*.csv"))
-    if args.sets:
-        files = [f for begin in args.sets.split(",") for f in files if f.stem.startswith(begin)]
-    args.out.mkdir(parents=True, exist_ok=True)
-    path = args.out / "rows.jsonl"
-    rows = {row["set"]: row for row in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
-    tasks = [Task(f, args.curves, args.collapses, args.base, args.out) for f in files if f.stem not in rows]
-    with path.open("a") as stream:
-        for _, row in simulate_together(tasks, TransportSimulator(accuracy=ACCURACIES["search"]), at_once=args.at_once):
-            stream.write(json.dumps(row) + "\n")
-            stream.flush()
-            rows[row["set"]] = row
-            print(line(row), flush=True)
-    print("\n" + "\n".join([HEAD, *(line(rows[f.stem]) for f in files)]))
+    files = chosen_files(args.folder, args.sets)
+    tasks = {f.stem: Task(f, args.curves, args.collapses, args.base, args.out) for f in files}
+    simulator = TransportSimulator(accuracy=ACCURACIES["search"])
+    rows = run_missing(tasks, args.out / "rows.jsonl", simulator, at_once=args.at_once, line=line)
+    print("\n" + "\n".join([HEAD, *map(line, rows)]))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ linearisation is not good enough to draw from. The result is a function of the g
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.cost import linearise, sides
+from imr_torch.assimilate.cost import equations_at, sides
 from imr_torch.observe import ExperimentBatch, displaced, predict
 from imr_torch.simulate import Simulator
 
@@ -45,7 +45,7 @@ def conditional_nuisances(
     known = possible & torch.isfinite(prediction).all(-1).all(1)
     prediction = torch.where(known[:, None, :, None], prediction, 0.5)
     count = len(guess)
-    equations = linearise(batch, guess.new_zeros(count, 0), guess, guess.new_zeros(count, 0, 0), prediction)
+    equations = equations_at(batch, guess.new_zeros(count, 0), guess, guess.new_zeros(count, 0, 0), prediction)
     root = torch.linalg.cholesky(equations.nuisance_hessian)
     step = -torch.cholesky_solve(equations.nuisance_gradient[..., None], root)[..., 0]
     step = step * (_LONGEST / step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)

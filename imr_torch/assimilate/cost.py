@@ -40,7 +40,9 @@ def sides(batch: ExperimentBatch) -> Tensor:
     return moved
 
 
-def linearise(batch: ExperimentBatch, gel: Tensor, nuisances: Tensor, anomalies: Tensor, prediction: Tensor) -> NormalEquations:
+def equations_at(
+    batch: ExperimentBatch, gel: Tensor, nuisances: Tensor, anomalies: Tensor, prediction: Tensor
+) -> NormalEquations:
     """Normal equations at a point.
 
     Args:

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate.conditional import possible_nuisances
-from imr_torch.assimilate.cost import joint_cost, linearise, sides
+from imr_torch.assimilate.cost import equations_at, joint_cost, sides
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.proposals import Kernels
 from imr_torch.observe import ExperimentBatch, predict
@@ -201,7 +201,7 @@ def _step(
 
 def _stepped(point: _Point, along: Tensor, batch: ExperimentBatch, anomalies: Tensor, prediction: Tensor) -> _Point:
     """A point after its step, with the cost that the step promises."""
-    equations = linearise(batch, point.gel, point.nuisances, anomalies, prediction)
+    equations = equations_at(batch, point.gel, point.nuisances, anomalies, prediction)
     reduced, across = equations.reduced, _across(along)
     gradient, hessian = across.mT @ reduced.gradient, across.mT @ reduced.hessian @ across
     step = -torch.linalg.solve(hessian, gradient)

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate.blunt import Blunt
-from imr_torch.assimilate.cost import joint_cost, linearise, sides
+from imr_torch.assimilate.cost import equations_at, joint_cost, sides
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
 from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.errors import ConvergenceError, InputDataError, ShapeError
@@ -258,11 +258,11 @@ class Search:
         gel, nuisances = self.gel[chains], self.nuisances[chains]
         aim, cost = self._aim(chains, gel[:, None], nuisances[:, None], prediction[:, :1])
         self.aim[chains], self.cost[chains] = aim[:, 0], cost[:, 0]
-        whole = linearise(self.batch, gel, nuisances, anomalies, prediction)
+        whole = equations_at(self.batch, gel, nuisances, anomalies, prediction)
         bluntly = self.bluntly[chains]
         if not bool(bluntly.any()):
             return whole
-        return _where(bluntly, linearise(self._blunt.batch, gel, nuisances, anomalies, self._blunt.seen(prediction)), whole)
+        return _where(bluntly, equations_at(self._blunt.batch, gel, nuisances, anomalies, self._blunt.seen(prediction)), whole)
 
     def _aim(self, chains: Tensor, gel: Tensor, nuisances: Tensor, prediction: Tensor) -> tuple[Tensor, Tensor]:
         """What chains lower, and the cost; leading shape ``C x P``."""
