@@ -75,7 +75,9 @@ physics = PolytropicSimulator() if SMOKE else TransportSimulator()
 traces = load_traces(HERE / "data" / "example_gel.csv")
 curves, _ = prepare(traces.select(["shot_1"]) if SMOKE else traces, physics)
 noise = noise_of_traces(curves)
-print(f"noise scale {noise.scale:.2f} x published, correlated over {noise.correlation_time} in t*")
+print(
+    f"noise {noise.scale:.2f} x published and {noise.scale * noise.floor:.4f} in R*, correlated over {noise.correlation_time}"
+)
 report = diagnose(
     curves, effects=library(("rinf_bias", "clock", "heat_exchange")) if SMOKE else None, noise=noise, simulator=physics
 )

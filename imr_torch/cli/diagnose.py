@@ -136,5 +136,6 @@ def _noise(args: argparse.Namespace, experiments: Sequence[Experiment]) -> Noise
     if args.noise == "published" or (args.noise is None and not single):
         return Noise()
     noise = noise_of_traces(experiments)
-    print(f"noise scale {noise.scale:.2f} x published, correlation time {noise.correlation_time:g} in t*\n")
+    constant = f"{noise.scale * noise.floor:.4f} in R*"
+    print(f"noise {noise.scale:.2f} x published and {constant}, correlated over {noise.correlation_time:g} in t*\n")
     return noise

@@ -1,13 +1,16 @@
 """Observation noise of real traces, of which there is one each: from how rough they are.
 
 A frame is compared with the cubic through its two neighbours on either side, which removes what a smooth curve does between
-frames and keeps what the camera adds. Roughness shows only the part of the noise that changes from frame to frame; repeats
-of public records differ by deviations that last 0.14 to 0.4 in t*. So the noise is taken as correlated, and its scale is the
-one at which correlated noise of the published law would look as rough as the traces do. A model is never asked to be better
-than a quarter of the published noise.
+frames and keeps what the camera adds. Two amounts are taken from that: a constant part (pixels), which rules where the bubble
+is large and slow, and a multiple of the published law (light, shape, clock), which rules elsewhere; a camera need not have
+them in the published proportion, and noise that is too small anywhere makes a false gap. Roughness shows only the part of the
+noise that changes from frame to frame; repeats of public records differ by deviations that last 0.14 to 0.4 in t*. So the
+noise is taken as correlated, with the amounts at which it would look as rough as the traces do. A model is never asked to be
+better than a quarter of the published noise.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -22,12 +25,15 @@ LEAST = 0.25
 
 _REACH = 2  # neighbours on either side
 _CONSISTENT = 1.482602  # standard deviation over median absolute deviation of a Gaussian
+_GROUPS = 4  # of frames, by how much of their noise is of the published law; the two amounts must suit all
+_TRIED = 80  # values of each amount
+_MOST = 32.0  # times the least
 
 
 def noise_of_traces(experiments: Sequence[Experiment], *, correlation_time: float = CORRELATION_TIME) -> Noise:
-    """Noise of the published shape with a scale from the traces' roughness.
+    """Noise of a constant part and a multiple of the published law, from the traces' roughness.
 
-    The median over frames is taken, so the few frames at a collapse, where no cubic follows the curve, do not count; traces
+    Medians over frames are taken, so the few frames at a collapse, where no cubic follows the curve, do not count; traces
     so coarse that half of the frames are like that come out too noisy, which costs power and makes no false gap.
 
     Args:
@@ -38,24 +44,33 @@ def noise_of_traces(experiments: Sequence[Experiment], *, correlation_time: floa
         InputDataError: if no trace has five frames.
     """
     unit = Noise(correlation_time=correlation_time)
-    roughness = [_standardised(e.times, row, unit) for e in experiments for row in e.radius if len(e.times) > 2 * _REACH]
-    if not roughness:
+    rows = [_roughness(e.times, row, unit) for e in experiments for row in e.radius if len(e.times) > 2 * _REACH]
+    if not rows:
         raise InputDataError("No trace has five frames, so their noise cannot be estimated; give the noise.")
-    scale = _CONSISTENT * float(torch.cat(roughness).abs().median())
-    return Noise(scale=max(scale, LEAST), correlation_time=correlation_time)
+    rough, constant, law = (torch.cat(parts) for parts in zip(*rows, strict=True))
+    grid = LEAST * torch.logspace(0.0, 1.0, _TRIED, base=_MOST, dtype=torch.float64)
+    misfit = torch.zeros(_TRIED, _TRIED, dtype=torch.float64)
+    for group in torch.argsort(law / constant).chunk(_GROUPS):
+        for i, scale in enumerate(grid.tolist()):  # of the law; columns are those of the constant part
+            variance = scale**2 * law[group] + grid[:, None].square() * constant[group]
+            spread = _CONSISTENT * (rough[group].abs() / variance.sqrt()).median(-1).values
+            misfit[i] += len(group) * spread.clamp_min(1e-9).log().square()
+    misfit[torch.ones_like(misfit).tril(-1).bool()] = torch.inf  # never less of the constant part than in the published law
+    scale, floor = (float(grid[i]) for i in divmod(int(misfit.argmin()), _TRIED))
+    return replace(unit, scale=scale, floor=unit.floor * floor / scale)
 
 
-def _standardised(times: Tensor, radius: Tensor, unit: Noise) -> Tensor:
-    """Frames less the cubic through their neighbours, over what unit noise would make of that: ``n_t - 4`` tensor."""
+def _roughness(times: Tensor, radius: Tensor, unit: Noise) -> tuple[Tensor, Tensor, Tensor]:
+    """Frames less the cubic through their neighbours, and its variance by either part of the noise: ``n_t - 4`` tensors."""
     width = 2 * _REACH + 1
     t, r = times.unfold(0, width, 1), radius.unfold(0, width, 1)
     weights = _weights(t)
-    sd = unit.sd(r, t)
     gap = (t[:, :, None] - t[:, None, :]).abs()
     correlation = torch.exp(-gap / unit.correlation_time) if unit.correlation_time else torch.eye(width).to(gap).expand_as(gap)
-    scaled = weights * sd
-    variance = torch.einsum("ni,nij,nj->n", scaled, correlation, scaled)
-    return (weights * r).sum(1) / variance.sqrt()
+    law = (unit.sd(r, t).square() - unit.floor**2).clamp_min(0.0).sqrt()
+    parts = (weights * sd for sd in (torch.full_like(r, unit.floor), law))
+    constant, growing = (torch.einsum("ni,nij,nj->n", part, correlation, part) for part in parts)
+    return (weights * r).sum(1), constant, growing
 
 
 def _weights(t: Tensor) -> Tensor:

@@ -1,12 +1,19 @@
-"""The noise of single traces: its scale is recovered from their roughness, whatever the frames and the correlation."""
+"""The noise of single traces: its amounts are recovered from their roughness, whatever the frames and the correlation."""
+
+from dataclasses import replace
 
 import pytest
 import torch
 
 from imr_torch.errors import InputDataError
+from imr_torch.gap import LIBRARY
+from imr_torch.gap.attribute import adequacy_test
 from imr_torch.gap.noise import LEAST, noise_of_traces
-from imr_torch.observe import Experiment, Noise
+from imr_torch.gap.score import LEVEL
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
 from imr_torch.random import generator
+from tests.gap.synthetic import DESIGNS, GEL, SIMULATOR, fit
 
 
 def traces(noise: Noise, *, spacing: float = 0.02, uneven: bool = False) -> list[Experiment]:
@@ -26,6 +33,33 @@ def test_that_the_scale_of_the_noise_is_recovered(correlation_time, uneven):
     found = noise_of_traces(traces(noise, uneven=uneven), correlation_time=correlation_time)
     assert found.scale == pytest.approx(0.7, rel=0.1)
     assert found.correlation_time == correlation_time
+
+
+@pytest.mark.parametrize(("scale", "constant"), [(0.5, 0.004), (0.5, 0.001), (1.0, 0.01)])
+def test_that_a_constant_part_and_a_multiple_of_the_law_are_told_apart(scale, constant):
+    noise = Noise(scale=scale, floor=constant / scale)
+    found = noise_of_traces([e for _ in range(2) for e in traces(noise)], correlation_time=0.0)
+    assert found.scale == pytest.approx(scale, rel=0.2)
+    assert found.scale * found.floor == pytest.approx(constant, rel=0.2)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_that_pixel_noise_at_several_frame_rates_makes_no_gap_and_a_wall_does(seed):
+    """As a camera of one frame rate films bubbles of several sizes: no law of sizes and times, and no correlation."""
+
+    def p_value(effect: dict[str, float]) -> float:
+        source, experiments = generator(seed), []
+        for spacing, design in zip((0.04, 0.03, 0.02), DESIGNS, strict=True):
+            times = torch.arange(0.0, 2.6, spacing, dtype=torch.float64)
+            blank = Experiment(f"{spacing}", design, times, torch.ones(1, len(times), dtype=torch.float64))
+            truth = predict(SIMULATOR, PARAMETERS.pack(GEL | effect)[None], ExperimentBatch((blank,)))[0]
+            pixels = 0.004 * torch.randn(truth.shape, generator=source, dtype=torch.float64)
+            experiments.append(replace(blank, radius=truth + pixels))
+        batch = ExperimentBatch(tuple(experiments), noise_of_traces(experiments))
+        return adequacy_test(fit(batch), (LIBRARY["wall"],), batch, SIMULATOR, seed=0).test.p_value
+
+    assert p_value({}) > LEVEL
+    assert p_value({"wall": 0.2}) < 1e-3
 
 
 def test_that_a_few_wild_frames_do_not_count():
