@@ -5,8 +5,8 @@ frames and keeps what the camera adds. Two amounts are taken from that: a consta
 is large and slow, and a multiple of the published law (light, shape, clock), which rules elsewhere; a camera need not have
 them in the published proportion, and noise that is too small anywhere makes a false gap. Roughness shows only the part of the
 noise that changes from frame to frame; repeats of public records differ by deviations that last 0.14 to 0.4 in t*. So the
-noise is taken as correlated, with the amounts at which it would look as rough as the traces do. A model is never asked to be
-better than a quarter of the published noise.
+noise is taken as correlated, with the amounts at which it would look as rough as the traces do, and with no less than repeats
+of public records differ by, which no roughness shows where a camera's records are smooth.
 """
 
 from collections.abc import Sequence
@@ -21,17 +21,19 @@ from imr_torch.observe import Experiment, Noise
 CORRELATION_TIME = 0.14
 """Shortest correlation time seen between repeats of public records, in t*."""
 LEAST = 0.25
-"""Smallest scale: 0.0005 in R* at the maximum, where frames of public records scatter by 0.0003 to 0.004."""
+"""Smallest multiple of the published law: repeats of public records differ by 0.2 to 0.9 of it late, and by more early."""
+LEAST_CONSTANT = 0.002
+"""Smallest constant part, in R*: repeats differ by 1 to 10 times the published noise early, where this is what it is."""
 
 _REACH = 2  # neighbours on either side
 _CONSISTENT = 1.482602  # standard deviation over median absolute deviation of a Gaussian
 _GROUPS = 4  # of frames, by how much of their noise is of the published law; the two amounts must suit all
 _TRIED = 80  # values of each amount
-_MOST = 32.0  # times the least
+_MOST = 32.0  # times the least of each
 
 
 def noise_of_traces(experiments: Sequence[Experiment], *, correlation_time: float = CORRELATION_TIME) -> Noise:
-    """Noise of a constant part and a multiple of the published law, from the traces' roughness.
+    """Noise of a constant part and a multiple of the published law, from the traces' roughness, neither below its least.
 
     Medians over frames are taken, so the few frames at a collapse, where no cubic follows the curve, do not count; traces
     so coarse that half of the frames are like that come out too noisy, which costs power and makes no false gap.
@@ -48,16 +50,17 @@ def noise_of_traces(experiments: Sequence[Experiment], *, correlation_time: floa
     if not rows:
         raise InputDataError("No trace has five frames, so their noise cannot be estimated; give the noise.")
     rough, constant, law = (torch.cat(parts) for parts in zip(*rows, strict=True))
-    grid = LEAST * torch.logspace(0.0, 1.0, _TRIED, base=_MOST, dtype=torch.float64)
+    steps = torch.logspace(0.0, 1.0, _TRIED, base=_MOST, dtype=torch.float64)
+    scales, constants = LEAST * steps, LEAST_CONSTANT * steps
     misfit = torch.zeros(_TRIED, _TRIED, dtype=torch.float64)
     for group in torch.argsort(law / constant).chunk(_GROUPS):
-        for i, scale in enumerate(grid.tolist()):  # of the law; columns are those of the constant part
-            variance = scale**2 * law[group] + grid[:, None].square() * constant[group]
+        for i, scale in enumerate(scales.tolist()):
+            variance = scale**2 * law[group] + constants[:, None].square() * constant[group]
             spread = _CONSISTENT * (rough[group].abs() / variance.sqrt()).median(-1).values
             misfit[i] += len(group) * spread.clamp_min(1e-9).log().square()
-    misfit[torch.ones_like(misfit).tril(-1).bool()] = torch.inf  # never less of the constant part than in the published law
-    scale, floor = (float(grid[i]) for i in divmod(int(misfit.argmin()), _TRIED))
-    return replace(unit, scale=scale, floor=unit.floor * floor / scale)
+    misfit[constants < unit.floor * scales[:, None]] = torch.inf  # never less of it than in the published proportion
+    row, column = divmod(int(misfit.argmin()), _TRIED)
+    return replace(unit, scale=float(scales[row]), floor=float(constants[column] / scales[row]))
 
 
 def _roughness(times: Tensor, radius: Tensor, unit: Noise) -> tuple[Tensor, Tensor, Tensor]:
@@ -68,7 +71,7 @@ def _roughness(times: Tensor, radius: Tensor, unit: Noise) -> tuple[Tensor, Tens
     gap = (t[:, :, None] - t[:, None, :]).abs()
     correlation = torch.exp(-gap / unit.correlation_time) if unit.correlation_time else torch.eye(width).to(gap).expand_as(gap)
     law = (unit.sd(r, t).square() - unit.floor**2).clamp_min(0.0).sqrt()
-    parts = (weights * sd for sd in (torch.full_like(r, unit.floor), law))
+    parts = (weights * sd for sd in (torch.ones_like(r), law))
     constant, growing = (torch.einsum("ni,nij,nj->n", part, correlation, part) for part in parts)
     return (weights * r).sum(1), constant, growing
 
