@@ -6,6 +6,7 @@ models does so for causes. Fits of effects start at the null fit, with the effec
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -23,6 +24,7 @@ SPREAD = 1e-5
 
 _ROUGH = EnsembleOptions(gradient=1e-2, starts=2)
 _APART = 0.3  # prior standard deviations between the starts of the null fit
+_FAR = 4.0  # prior standard deviations of a nuisance that are not believed at once
 
 
 @dataclass(frozen=True)
@@ -89,19 +91,24 @@ def fit_null(
 ) -> ModelFit:
     """The base model with nuisances, from several starts, with its certificate.
 
-    The search begins with polytropic bubbles, which are far cheaper; the simulator's own fits start from their best and from
-    perturbed copies of it.
+    Where there are repeats the search begins with polytropic bubbles, which are far cheaper; the simulator's own fits start
+    from their best and from perturbed copies of it. Single curves leave Rmax and time zero so uncertain that a fit may slip
+    into a collapse between the wrong frames, with a clean certificate: there, and where a nuisance ends far out, scouts search.
     """
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
-    if isinstance(getattr(simulator, "simulator", simulator), PolytropicSimulator):  # behind workers, or a crowd
-        own = EnsembleOptions(spread=SPREAD)
-        return assimilate(belief, batch, simulator, seed=seed, options=own, progress=progress).fits[0]
+    search = partial(assimilate, belief, batch, simulator, seed=seed, progress=progress)
+    scouted = EnsembleOptions(spread=SPREAD)
+    if isinstance(getattr(simulator, "simulator", simulator), PolytropicSimulator) or int(batch.repeats.max()) == 1:
+        return search(options=scouted).fits[0]
     cheap = PolytropicSimulator(simulator.conditions)
     rough = assimilate(belief, batch, cheap, seed=seed, options=_ROUGH, warn=False).fits[0]
     spread = _APART * torch.randn(2, len(rough.mean), generator=generator(child(seed, "null")), dtype=torch.float64)
     starts = torch.cat((rough.mean[None], rough.mean + spread))
     options = EnsembleOptions(spread=SPREAD, blunt=True)  # the polytropic collapse may be on another side of a frame
-    return assimilate(belief, batch, simulator, seed=seed, starts=[starts], options=options, progress=progress).fits[0]
+    fit = search(starts=[starts], options=options).fits[0]
+    if float(fit.nuisances.abs().max()) < _FAR:
+        return fit
+    return min(fit, search(options=scouted).fits[0], key=lambda found: found.cost)
 
 
 def fit_hypotheses(
