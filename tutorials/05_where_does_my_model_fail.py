@@ -75,9 +75,8 @@ physics = PolytropicSimulator() if SMOKE else TransportSimulator()
 traces = load_traces(HERE / "data" / "example_gel.csv")
 curves, _ = prepare(traces.select(["shot_1"]) if SMOKE else traces, physics)
 noise = noise_of_traces(curves)
-print(
-    f"noise {noise.scale:.2f} x published and {noise.scale * noise.floor:.4f} in R*, correlated over {noise.correlation_time}"
-)
+constant = f"{noise.scale * noise.floor:.4f} in R*"
+print(f"noise {noise.scale:.2f} x published and {constant}, correlated over {noise.correlation_time:g} in t*")
 report = diagnose(
     curves, effects=library(("rinf_bias", "clock", "heat_exchange")) if SMOKE else None, noise=noise, simulator=physics
 )

@@ -6,8 +6,7 @@
 
 One line a set is appended as it finishes, and sets that have a line are not run again, so a run can be stopped, resumed and
 extended at will. Pairs have 5 designs x 100 repeats whatever the sizes, and "next" (designs chosen to tell causes apart against
-random ones) 3 designs of one curve. Thresholds are those of the library; they are printed,
-and their hash stands in every line.
+random ones) 3 designs of one curve. Thresholds are those of the library; they are printed, and their hash stands in every line.
 """
 
 import argparse
