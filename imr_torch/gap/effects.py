@@ -27,7 +27,7 @@ class Effect:
         priors: parameter -> prior; the first is the amplitude, neutral at zero, the others say what it looks like.
         starts: values of the parameters, in the order of ``priors``, from which fits start and at which scores are taken.
         confused: names of effects that it is easily mistaken for, and the measurement that tells them apart.
-        group: effects of one group are the same to first order and are reported as one class.
+        group: effects of one group, the same to first order or shapes of one thing, are reported as one class.
     """
 
     name: str
@@ -192,7 +192,8 @@ for _effect in (
             "sound_phase": TruncatedNormal(0.0, 2.0),
         },
         tuple((0.03, w, p) for w in (0.7, 1.4, 2.1) for p in (0.0, 1.57, 3.14, 4.71)),
-        "damage; a hydrophone tells",
+        "damage; a pulse is a sound field of another shape; a hydrophone tells",
+        group="sound",
     ),
     Effect(
         "pulse",
@@ -204,7 +205,8 @@ for _effect in (
             "pulse_width": TruncatedNormal(-1.5, 0.7),
         },
         tuple((a, t, -1.5) for a in (0.03, -0.03) for t in (0.5, 1.5, 2.5)),
-        "damage; a hydrophone tells",
+        "damage; a sound field is a pulse of another shape; a hydrophone tells",
+        group="sound",
     ),
     _simple(
         "missed_maximum", "the true maximum was missed", "measurement", 0.015, confused="trigger offset, residual velocity"

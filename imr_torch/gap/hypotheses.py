@@ -94,7 +94,18 @@ def fit_null(
     Where there are repeats the search begins with polytropic bubbles, which are far cheaper; the simulator's own fits start
     from their best and from perturbed copies of it. Single curves leave Rmax and time zero so uncertain that a fit may slip
     into a collapse between the wrong frames, with a clean certificate: there, and where a nuisance ends far out, scouts search.
+    A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals, is taken up again.
     """
+    fit = _search_null(base, batch, simulator, seed=seed, progress=progress)
+    if fit.certificate.gradient < EnsembleOptions().gradient:  # starts that arrived and disagree stay what they are: no certificate
+        return fit
+    return finish(fit, batch, simulator, seed=child(seed, "finish"), progress=progress)
+
+
+def _search_null(
+    base: ModelBelief, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None
+) -> ModelFit:
+    """The best fit of the starts, converged or not."""
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
     search = partial(assimilate, belief, batch, simulator, seed=seed, progress=progress)
     scouted = EnsembleOptions(spread=SPREAD)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import pytest
 import torch
 
-from imr_torch.assimilate import Assimilation, ModelFit
+from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit
 from imr_torch.gap import hypotheses
 from imr_torch.simulate import Conditions, PolytropicSimulator
 from tests.gap.synthetic import BASE, DESIGNS, fit, shoot
@@ -45,3 +45,30 @@ def test_that_scouts_search_where_a_false_minimum_is_likely(known, monkeypatch, 
     batch = shoot({}, DESIGNS[:1], repeats=repeats, end=1.5)
     assert hypotheses.fit_null(BASE, batch, Costly(PolytropicSimulator().conditions), seed=0).cost == cost
     assert made == searches
+
+
+def _short(times: list[int]):
+    """The search, cut off after so many iterations, one entry a call; whole after these."""
+    whole = hypotheses.assimilate
+
+    def search(*args, options=None, **more) -> Assimilation:
+        options = options or EnsembleOptions()
+        return whole(*args, options=replace(options, iterations=times.pop(0)) if times else options, **more)
+
+    return search
+
+
+def test_that_a_fit_without_time_to_arrive_is_taken_up_again(monkeypatch) -> None:
+    batch, simulator = shoot({}, DESIGNS[:1], repeats=10, end=1.5), PolytropicSimulator()
+    monkeypatch.setattr(hypotheses, "assimilate", _short([3]))
+    fit = hypotheses.fit_null(BASE, batch, simulator, seed=0)
+    assert fit.certificate.converged
+    monkeypatch.setattr(hypotheses, "assimilate", _short([3, 1]))
+    assert not hypotheses.fit_null(BASE, batch, simulator, seed=0).certificate.converged
+
+
+def test_that_starts_which_arrived_apart_are_not_called_converged_by_a_second_search(known, monkeypatch) -> None:
+    apart = replace(known, certificate=replace(known.certificate, gradient=1e-5, agreement=40.0, converged=False))
+    monkeypatch.setattr(hypotheses, "assimilate", lambda belief, batch, *_, **__: Assimilation(belief, batch, (apart,)))
+    batch = shoot({}, DESIGNS[:1], repeats=2, end=1.5)
+    assert not hypotheses.fit_null(BASE, batch, PolytropicSimulator(), seed=0).certificate.converged
