@@ -97,7 +97,7 @@ def fit_null(
     A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals, is taken up again.
     """
     fit = _search_null(base, batch, simulator, seed=seed, progress=progress)
-    if fit.certificate.gradient < EnsembleOptions().gradient:  # starts that arrived and disagree stay what they are: no certificate
+    if fit.certificate.gradient < EnsembleOptions().gradient:  # starts that arrived and disagree have no certificate
         return fit
     return finish(fit, batch, simulator, seed=child(seed, "finish"), progress=progress)
 
