@@ -22,7 +22,7 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 
-_DECIDING = ("score", "attribute", "diagnose", "hypotheses", "locate", "restrict", "shrinkage", "windows")
+_DECIDING = ("score", "attribute", "diagnose", "hypotheses", "locate", "refitted", "restrict", "shrinkage", "windows")
 _KEPT = ("gap", "p_gap", "bias_sigma", "verdict", "cause", "adequacy_p", "converged", "seconds")
 
 

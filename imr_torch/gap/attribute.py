@@ -18,6 +18,7 @@ from imr_torch.assimilate import EnsembleOptions, ModelFit
 from imr_torch.gap.effects import Effect
 from imr_torch.gap.hypotheses import SPREAD, Hypothesis, finish, fit_hypotheses, laplace_evidence
 from imr_torch.gap.linear import Linearisation, linearise
+from imr_torch.gap.refitted import refitted_directions
 from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_blocks, promising_starts
 from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch
@@ -131,8 +132,9 @@ def adequacy_test(
     line = linearise(fit, batch, simulator)
     others = [effect for effect in effects if not set(effect.names) & set(fit.prior.names)]
     directions = effect_directions(others, fit, batch, simulator, line)
-    blocks = [block(name, rows, line) for name, rows in directions.items()]
-    starts = {effect.name: promising_starts(effect, directions[effect.name], line) for effect in others}
+    beside = refitted_directions(others, fit, batch, simulator, line, directions)
+    blocks = [block(name, rows, line) for name, rows in beside.items()]
+    starts = {effect.name: promising_starts(effect, beside[effect.name], line) for effect in others}
     test = gap_test([*blocks, *generic_blocks(fit, batch, simulator, line)], line, seed=seed)
     return Adequacy(test, starts, line, directions)
 

@@ -43,6 +43,18 @@ class Linearisation:
         """``N x k`` orthonormal basis of the fitted directions."""
         return torch.linalg.qr(self.fitted).Q
 
+    @cached_property
+    def to_shift(self) -> Tensor:
+        """``k x N`` matrix that makes, from a residual, the shift of everything fitted in a linear refit to it."""
+        q, r = torch.linalg.qr(self.fitted)
+        return torch.linalg.solve_triangular(r, q.mT, upper=True)
+
+    def explained(self, shift: Tensor) -> Tensor:
+        """What shifts ``... x k`` of everything fitted change in the data, to first order: rows ``... x N``."""
+        rows = shift @ self.fitted.mT
+        rows[..., self.fitted.shape[0] - self.fitted.shape[1] :] = 0.0
+        return rows
+
     def whiten(self, curves: Tensor) -> Tensor:
         """Curves ``... x E x T`` in R* as rows ``... x N``, with zeros for the priors."""
         rows = self.batch.whiten(torch.where(self.batch.mask, curves, 0.0), self.sd).flatten(-2)
@@ -53,21 +65,41 @@ class Linearisation:
         return rows - (rows @ self.basis) @ self.basis.mT
 
 
-def controls_of(fit: ModelFit, values: dict[str, float] | None = None) -> Tensor:
-    """The fit's parameters (``p`` tensor, SI), with some set to other values."""
-    parameters = fit.parameters(fit.mean).clone()
-    for name, value in (values or {}).items():
-        parameters[PARAMETERS.index([name])[0]] = value
-    return parameters
+def shifted(fit: ModelFit, batch: ExperimentBatch, shift: Tensor) -> tuple[Tensor, Tensor]:
+    """Controls ``K x d`` and nuisances ``K x E x 3`` of a fit after shifts ``K x k``, in the order of the fitted directions."""
+    free = (batch.nuisance_sds > 0.0).any(0)
+    size, experiments = len(fit.mean), len(batch.experiments)
+    nuisances = fit.nuisances.expand(len(shift), -1, -1).clone()
+    nuisances[:, :, free] += shift[:, size:].reshape(len(shift), int(free.sum()), experiments).mT
+    return fit.mean + shift[:, :size], nuisances
 
 
-def curves(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, changes: Sequence[dict[str, float]]) -> Tensor:
-    """Predictions at the fit with parameters changed, one row a change: ``K x E x T``; NaN where a solve failed."""
+def curves(
+    fit: ModelFit,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    changes: Sequence[dict[str, float]],
+    shift: Tensor | None = None,
+) -> Tensor:
+    """Predictions at the fit with parameters changed, one row a change: ``K x E x T``; NaN where a solve failed.
+
+    Args:
+        fit: the fit.
+        batch: the data.
+        simulator: makes the bubbles.
+        changes: parameters that take other values.
+        shift: ``K x k`` tensor by which everything fitted is moved besides; none by default.
+    """
     if not changes:
         return torch.empty(0, *batch.times.shape, dtype=torch.float64)
-    parameters = torch.stack([controls_of(fit, change) for change in changes])
-    shifts = (fit.nuisances * batch.nuisance_sds).expand(len(changes), -1, -1)
-    return predict(simulator, parameters, batch, shifts)
+    mean, nuisances = fit.mean.expand(len(changes), -1), fit.nuisances.expand(len(changes), -1, -1)
+    if shift is not None:
+        mean, nuisances = shifted(fit, batch, shift)
+    parameters = fit.parameters(mean).clone()
+    for row, change in zip(parameters, changes, strict=True):
+        for name, value in change.items():
+            row[PARAMETERS.index([name])[0]] = value
+    return predict(simulator, parameters, batch, nuisances * batch.nuisance_sds)
 
 
 def linearise(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:

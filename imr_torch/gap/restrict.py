@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.linear import Linearisation, linearise
+from imr_torch.gap.linear import Linearisation, linearise, shifted
 from imr_torch.gap.score import block
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import SeedLike, generator
@@ -50,9 +50,7 @@ def refit(line: Linearisation) -> tuple[Tensor, Tensor]:
         ``k`` tensor, the shift of everything that was fitted (gel controls, then nuisances), and the ``k x N`` matrix that
         makes it from a residual; its product with its transpose is the shift's covariance.
     """
-    q, r = torch.linalg.qr(line.fitted)
-    to_shift = torch.linalg.solve_triangular(r, q.mT, upper=True)
-    return to_shift @ line.residual, to_shift
+    return line.to_shift @ line.residual, line.to_shift
 
 
 def moved(fit: ModelFit, line: Linearisation, shift: Tensor, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
@@ -65,11 +63,8 @@ def moved(fit: ModelFit, line: Linearisation, shift: Tensor, batch: ExperimentBa
         batch: the data.
         simulator: makes the bubbles.
     """
-    columns = (batch.nuisance_sds > 0.0).any(0)
-    size = len(fit.mean)
-    nuisances = fit.nuisances.clone()
-    nuisances[:, columns] += shift[size:].reshape(int(columns.sum()), len(nuisances)).mT
-    new = linearise(replace(fit, mean=fit.mean + shift[:size], nuisances=nuisances), batch, simulator)
+    mean, nuisances = shifted(fit, batch, shift[None])
+    new = linearise(replace(fit, mean=mean[0], nuisances=nuisances[0]), batch, simulator)
     return new if bool(torch.isfinite(new.fitted).all() & torch.isfinite(new.residual).all()) else line
 
 

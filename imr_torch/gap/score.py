@@ -39,7 +39,7 @@ class Block:
     Args:
         name: what they stand for.
         directions: ``N x k`` tensor with orthonormal columns, beside the fitted directions; ``k = 0`` if nothing is left.
-        size: length of the first direction before it was normalised: how many sd the effect would show at its step.
+        size: length of the longest direction before it was normalised: how many sd the effect would show at its step.
     """
 
     name: str

@@ -1,0 +1,56 @@
+"""What an effect leaves in the data after the gel has been refitted, beyond first order.
+
+A gel takes back most of what an effect does: it shifts the collapses until they fit again. Projecting the fitted directions
+off a change of tens of standard deviations takes it back to first order only, and the second-order rest, which a real refit
+would not leave, hides or passes for what is left. So the gel (with the nuisances) is moved by the linear refit that takes the
+change back, the effect is simulated beside it, and the rest is taken from there, as often as it gets smaller.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.gap.effects import Effect
+from imr_torch.gap.linear import Linearisation, curves
+from imr_torch.observe import ExperimentBatch
+from imr_torch.simulate import Simulator
+
+_ROUNDS = 2
+
+
+def refitted_directions(
+    effects: Sequence[Effect],
+    fit: ModelFit,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    line: Linearisation,
+    directions: dict[str, Tensor],
+) -> dict[str, Tensor]:
+    """Directions whose part beside the fitted ones is what a refit leaves of each effect.
+
+    Args:
+        effects: what was changed.
+        fit: the fit at which it was.
+        batch: the data.
+        simulator: makes the bubbles.
+        line: the fit's neighbourhood.
+        directions: name -> ``S x N``, whitened changes at each start (:func:`imr_torch.gap.score.effect_directions`).
+
+    Returns:
+        Name -> ``S x N``; the first-order rows where the moved gel cannot be simulated or leaves more.
+    """
+    changes = [dict(zip(effect.names, start, strict=True)) for effect in effects for start in effect.starts]
+    if not changes:
+        return {}
+    rows = torch.cat([directions[effect.name] for effect in effects])
+    left = line.project(rows).norm(dim=1)
+    for _ in range(_ROUNDS):
+        shift = rows @ line.to_shift.mT
+        beside = line.whiten(curves(fit, batch, simulator, changes, -shift) - line.prediction) + line.explained(shift)
+        now = line.project(beside).norm(dim=1)
+        smaller = now < left  # not where a solve failed: NaN is not smaller
+        rows, left = torch.where(smaller[:, None], beside, rows), torch.where(smaller, now, left)
+    parts = rows.split([len(effect.starts) for effect in effects])
+    return {effect.name: part for effect, part in zip(effects, parts, strict=True)}

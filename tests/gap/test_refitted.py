@@ -1,0 +1,67 @@
+"""What a refit leaves of an effect: as a real refit leaves it, and never more than the first order does."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.gap import refitted
+from imr_torch.gap.effects import LIBRARY, Effect
+from imr_torch.gap.linear import Linearisation, linearise
+from imr_torch.gap.refitted import refitted_directions
+from imr_torch.gap.score import effect_directions
+from imr_torch.observe import ExperimentBatch, Nuisance
+from tests.gap.synthetic import SIMULATOR, fit, shoot
+
+REPEATS = 20
+NUISANCE = Nuisance(0.003, 0.004, 0.01)
+
+
+def one_start(name: str, value: float) -> Effect:
+    """An effect with a single start."""
+    return replace(LIBRARY[name], starts=((value,),))
+
+
+def left_of(effect: Effect, best: ModelFit, batch: ExperimentBatch, line: Linearisation) -> tuple[float, float]:
+    """Sd that the first order leaves of an effect, and the refit."""
+    raw = effect_directions([effect], best, batch, SIMULATOR, line)
+    beside = refitted_directions([effect], best, batch, SIMULATOR, line, raw)
+    return float(line.project(raw[effect.name]).norm()), float(line.project(beside[effect.name]).norm())
+
+
+@pytest.fixture(scope="module", params=[Nuisance(), NUISANCE], ids=["exact", "nuisances"])
+def matched(request) -> tuple[ModelFit, ExperimentBatch, Linearisation]:
+    """The fit of a matched set, and its neighbourhood."""
+    batch = shoot({}, repeats=REPEATS, nuisance=request.param)
+    best = fit(batch)
+    return best, batch, linearise(best, batch, SIMULATOR)
+
+
+@pytest.mark.parametrize(("name", "value"), [("heat_exchange", 0.8), ("damage", 0.03), ("sound_speed", 0.3)])
+def test_that_it_is_what_a_real_refit_leaves(matched, name, value) -> None:
+    best, batch, line = matched
+    effect = one_start(name, value)
+    first, beside = left_of(effect, best, batch, line)
+    shot = shoot({name: value}, repeats=REPEATS, nuisance=batch.experiments[0].nuisance)
+    refit = fit(shot)
+    # the noise of these repeats is that of the matched set, so the difference of residuals is that of the curves
+    gap, noise = linearise(refit, shot, SIMULATOR), line.project(line.residual).norm()
+    real = float((gap.residual.square().sum() - noise.square()).clamp_min(0.0).sqrt())
+    assert beside == pytest.approx(real, rel=0.2)
+    assert first > 1.2 * beside
+
+
+def test_that_a_small_effect_is_left_as_it_is(matched) -> None:
+    first, beside = left_of(one_start("gas_loss", 1e-4), *matched)
+    assert beside == pytest.approx(first, rel=0.02)
+
+
+def test_that_a_gel_that_cannot_be_simulated_leaves_the_first_order(matched, monkeypatch) -> None:
+    best, batch, line = matched
+    effect = one_start("heat_exchange", 0.8)
+    raw = effect_directions([effect], best, batch, SIMULATOR, line)
+    monkeypatch.setattr(refitted, "curves", lambda *_: torch.full((1, *batch.times.shape), torch.nan, dtype=torch.float64))
+    beside = refitted_directions([effect], best, batch, SIMULATOR, line, raw)
+    torch.testing.assert_close(beside["heat_exchange"], raw["heat_exchange"])
+    assert refitted_directions([], best, batch, SIMULATOR, line, {}) == {}
