@@ -225,7 +225,7 @@ def _signals(
     plan: ExperimentBatch,
     task: Task,
 ) -> list[list[float]]:
-    """Length in sd of what each effect leaves beside a refit of G and mu up to the end of each phase; NaN where it has no curve.
+    """Length in sd of what each effect leaves of a refit of G and mu up to the end of each phase; NaN where it has no curve.
 
     The refit is a real one as far as it makes the rest smaller: to first order alone, most effects leave several times more.
     """
