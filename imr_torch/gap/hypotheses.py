@@ -89,7 +89,7 @@ class Hypothesis:
 def fit_null(
     base: ModelBelief, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None = None
 ) -> ModelFit:
-    """The base model with nuisances, from several starts, with its certificate.
+    """The base model with nuisances, from several starts, with its certificate, which is for the caller to read.
 
     Where there are repeats the search begins with polytropic bubbles, which are far cheaper; the simulator's own fits start
     from their best and from perturbed copies of it. Single curves leave Rmax and time zero so uncertain that a fit may slip
@@ -107,7 +107,7 @@ def _search_null(
 ) -> ModelFit:
     """The best fit of the starts, converged or not."""
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
-    search = partial(assimilate, belief, batch, simulator, seed=seed, progress=progress)
+    search = partial(assimilate, belief, batch, simulator, seed=seed, warn=False, progress=progress)
     scouted = EnsembleOptions(spread=SPREAD)
     if isinstance(getattr(simulator, "simulator", simulator), PolytropicSimulator) or int(batch.repeats.max()) == 1:
         return search(options=scouted).fits[0]

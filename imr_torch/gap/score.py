@@ -1,10 +1,10 @@
 """Is there a gap? Directed score tests on the residual of a fit, each in a few directions beside those fitted.
 
 A chi-square over all frames is nearly blind to a small effect, because it asks in every direction at once. A block asks in
-the few directions in which something definite would show: each effect of the library at a finite step, pressure pulses,
-parameters that change in time or between designs, distortions of the output. The smallest p-value over the blocks is
-calibrated against residuals drawn under the fitted model (Rao's score test; parametric bootstrap: Davison & Hinkley,
-Bootstrap Methods and their Application, 1997, section 4.2).
+the few directions in which something definite would show: each effect of the library at a finite step, a law of the state
+that nobody has named, pressure pulses, parameters that change in time or between designs, distortions of the output. The
+smallest p-value over the blocks is calibrated against residuals drawn under the fitted model (Rao's score test; parametric
+bootstrap: Davison & Hinkley, Bootstrap Methods and their Application, 1997, section 4.2).
 """
 
 import math
@@ -27,6 +27,17 @@ LEVEL = 0.04
 _RANK = 1e-3  # singular values below this part of the largest add no direction
 _BOOTSTRAP = 2000
 _PULSES = 8
+_LAWS = {
+    "law_stretch": 1e-3,
+    "law_stretch_squared": 3e-4,
+    "law_compression": 1e-3,
+    "law_compression_steep": 1e-5,
+    "law_velocity": 3e-3,
+    "law_velocity_squared": 1e-3,
+    "law_rate_squared": 1e-4,
+}  # coefficients of the generic closure at which its directions are taken
+STATE_LAW = "a law of the state"
+"""Name of the block of the generic closure."""
 _SMALL = 0.05  # amplitude of a first start, over the effect's own: so near the null fit that it cannot end above it
 _TYPICAL = (0.5, 1.5)  # bounds of that of a second
 _LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones to be tested
@@ -134,18 +145,22 @@ def block(name: str, rows: Tensor, line: Linearisation) -> Block:
 
 
 def generic_blocks(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation) -> list[Block]:
-    """Blocks that stand for no effect in particular: pulses, drifting parameters, distorted output, everything."""
+    """Blocks that stand for no effect in particular: a law of the state, pulses, drifting parameters, distorted output."""
     experiments = len(batch.experiments)
     times = batch.times
     last = float(times[batch.mask].max())
     centres = torch.linspace(0.1, 0.9, _PULSES, dtype=torch.float64) * last
     width = math.log(0.5 * last / _PULSES)
     changes = [{"pulse": 0.01, "pulse_time": float(c), "pulse_width": width} for c in centres]
-    pulses = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num())
+    changes += [{name: step} for name, step in _LAWS.items()]
+    pulses, laws = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num()).split(
+        [_PULSES, len(_LAWS)]
+    )
     data = line.fitted.shape[0] - line.fitted.shape[1]
     gel = torch.nn.functional.pad(line.fitted[:data, : len(fit.mean)].mT, (0, line.fitted.shape[1]))
     early = torch.nn.functional.pad((times < 0.5 * last).flatten().to(gel), (0, line.fitted.shape[1]))
     blocks = [
+        block(STATE_LAW, laws, line),
         block("pulses common to all experiments", pulses, line),
         block("parameters early against late", gel * early, line),
         block("shape of the output", _shape_rows(line), line),

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.material.closure import CLOSURE
 from imr_torch.material.departures import Damage, GradedModulus, PermanentSet, YieldStress
 from imr_torch.material.elastic import (
     ExponentialFung,
@@ -41,6 +42,7 @@ TERMS: list[AnyTerm] = [
     YieldStress(),
     GradedModulus(),
     PermanentSet(),
+    *CLOSURE,
 ]
 """Every term a batch may need. Terms that are neutral in the whole batch cost nothing: see :func:`active_terms`."""
 

@@ -175,6 +175,22 @@ GRADED_MODULUS = PARAMETERS.register(Parameter("graded_modulus", "excess modulus
 PERMANENT_SET = PARAMETERS.register(Parameter("permanent_set", "part of the stretch that stays", "1", "none", -0.5, 0.5, 0.0))
 
 
+def _law(name: str, meaning: str) -> Parameter:
+    """A coefficient of the generic closure, a pressure over ``p_inf``."""
+    return PARAMETERS.register(
+        Parameter(f"law_{name}", f"generic stress in {meaning}, over p_inf", "1", "none", -1.0, 1.0, 0.0)
+    )
+
+
+LAW_STRETCH = _law("stretch", "lambda - 1")
+LAW_STRETCH_SQUARED = _law("stretch_squared", "(lambda - 1)^2")
+LAW_COMPRESSION = _law("compression", "lambda^-3 - 1")
+LAW_COMPRESSION_STEEP = _law("compression_steep", "lambda^-6 - 1")
+LAW_VELOCITY = _law("velocity", "U")
+LAW_VELOCITY_SQUARED = _law("velocity_squared", "U|U|")
+LAW_RATE_SQUARED = _law("rate_squared", "(U/R)|U/R|")
+
+
 def dimensionless(parameters: Tensor, max_radius: Tensor, surroundings: Surroundings) -> dict[str, Tensor]:
     """The parameters of each bubble in dimensionless form.
 

@@ -24,6 +24,13 @@ VALUES = {
     "graded_modulus": 1.5,
     "permanent_set": 0.1,
     "energy_loss": 0.4,
+    "law_stretch": 0.05,
+    "law_stretch_squared": 0.02,
+    "law_compression": 0.05,
+    "law_compression_steep": 1e-3,
+    "law_velocity": 0.05,
+    "law_velocity_squared": 0.02,
+    "law_rate_squared": 1e-3,
 }
 """Dimensionless. A new parameter of a stress term needs a value here."""
 

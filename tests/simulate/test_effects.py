@@ -53,6 +53,13 @@ BEYOND = {
     "yield_stress": 1e3,
     "graded_modulus": 2.0,
     "permanent_set": 0.1,
+    "law_stretch": 0.05,
+    "law_stretch_squared": 0.02,
+    "law_compression": 0.05,
+    "law_compression_steep": 1e-4,
+    "law_velocity": 0.05,
+    "law_velocity_squared": 0.02,
+    "law_rate_squared": 1e-3,
 }
 """A value of each effect at which it can be seen."""
 BESIDE = {

@@ -1,0 +1,32 @@
+"""The generic closure: each law's stress, its scale, and that nothing but the law's own state matters."""
+
+import pytest
+import torch
+
+from imr_torch.material.closure import CLOSURE
+from tests.material.gels import tensors
+
+RADIUS, VELOCITY, REST = 0.4, -2.0, 0.25
+STRETCH = RADIUS / REST
+STATES = {
+    "law_stretch": STRETCH - 1.0,
+    "law_stretch_squared": (STRETCH - 1.0) ** 2,
+    "law_compression": STRETCH**-3 - 1.0,
+    "law_compression_steep": STRETCH**-6 - 1.0,
+    "law_velocity": VELOCITY,
+    "law_velocity_squared": VELOCITY * abs(VELOCITY),
+    "law_rate_squared": (VELOCITY / RADIUS) * abs(VELOCITY / RADIUS),
+}
+
+
+@pytest.mark.parametrize("law", CLOSURE, ids=lambda law: law.switch)
+@pytest.mark.parametrize("coefficient", [0.0, 0.02, -0.04])
+def test_that_each_law_is_a_stress_against_its_state(law, coefficient) -> None:
+    radius, velocity, rest = (torch.tensor(x, dtype=torch.float64) for x in (RADIUS, VELOCITY, REST))
+    stress = law(radius, velocity, rest, tensors({law.switch: coefficient}))
+    assert float(stress.value) == pytest.approx(-coefficient * STATES[law.switch], rel=1e-3)  # |U| is rounded off
+
+
+def test_that_there_are_seven_and_each_has_a_coefficient_of_its_own() -> None:
+    assert [law.switch for law in CLOSURE] == list(STATES)
+    assert all(law.names == (law.switch,) for law in CLOSURE)
