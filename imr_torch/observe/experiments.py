@@ -15,7 +15,7 @@ from torch import Tensor
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.observe.distortion import Distortion
 from imr_torch.observe.noise import Noise
-from imr_torch.observe.nuisance import Nuisance, displaced
+from imr_torch.observe.nuisance import Nuisance, displaced, impossible
 from imr_torch.simulate import Simulator, check_designs
 
 
@@ -188,14 +188,16 @@ def predict(
             (:meth:`imr_torch.simulate.Simulator.bundle`), the leader first.
 
     Returns:
-        ``batch_shape x E x T`` tensor, R/Rmax with the measured Rmax; NaN rows where a solve failed.
+        ``batch_shape x E x T`` tensor, R/Rmax with the measured Rmax; NaN rows where a solve failed, or shifts leave no bubble.
     """
     designs, times, factor = batch.designs, batch.times, None
     distortion = Distortion.of(parameters)
     if distortion is not None:
         shifts = distortion.shifts if shifts is None else shifts + distortion.shifts
     if shifts is not None:
-        designs, times, factor = displaced(designs, times, shifts)
+        lost = impossible(times, shifts)[..., None]
+        designs, times, factor = displaced(designs, times, torch.where(lost, 0.0, shifts))
+        factor = torch.where(lost, torch.nan, factor)
 
     def simulate(times: Tensor) -> Tensor:
         if not bundled:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, displaced, predict
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
@@ -252,3 +253,30 @@ def test_that_an_experiment_without_a_repeat_says_what_is_missing() -> None:
 def test_that_a_batch_needs_an_experiment() -> None:
     with pytest.raises(InputDataError, match="At least one experiment is needed"):
         ExperimentBatch(())
+
+
+@pytest.mark.parametrize(
+    "shift",
+    [(0.0, -1.0, 0.0), (-0.95, 0.0, 0.0), (-2.0, 0.0, 0.0), (0.0, math.nan, 0.0)],
+    ids=["early", "tiny", "negative", "nan"],
+)
+@pytest.mark.parametrize("bundled", [False, True])
+def test_that_shifts_which_leave_no_bubble_fail_their_member_alone(shift, bundled: bool) -> None:
+    batch = ExperimentBatch(tuple(replace(e, times=e.times - e.times[0]) for e in shots()))
+    gels = PARAMETERS.pack({"G": tensor(4e3, 8e3, 6e3), "mu": 0.1})
+    shifts = 0.01 * random(3, len(SIZES), 3, seed=5)
+    whole = predict(PolytropicSimulator(), gels, batch, shifts, bundled=bundled)
+    shifts[1, 2] = tensor(*shift)
+    found = predict(PolytropicSimulator(), gels, batch, shifts, bundled=bundled)
+    lost = torch.zeros(3, len(SIZES), dtype=torch.bool)
+    lost[1, 2] = True
+    assert bool(torch.isnan(found[lost]).all())
+    torch.testing.assert_close(found[~lost], whole[~lost], rtol=0.0, atol=1e-12)
+
+
+def test_that_frames_before_time_zero_are_as_possible_as_they_were_measured() -> None:
+    times = torch.linspace(-0.45, 1.0, 20, dtype=torch.float64)
+    batch = ExperimentBatch((Experiment("early", (400.0, 0.2), times, torch.ones(1, 20, dtype=torch.float64)),))
+    gel = PARAMETERS.pack({"G": 4e3, "mu": 0.1})[None]
+    found = predict(PolytropicSimulator(), gel, batch, torch.zeros(1, 1, 3, dtype=torch.float64))
+    assert bool(torch.isfinite(found).all())
