@@ -248,7 +248,7 @@ def by_experiment(
     centre, low, high = torch.stack(values).unbind(1)
     p_values = tuple(calibrate(observed, calibration).tolist())
     labels = tuple(e.label for e in batch.experiments)
-    return ByExperiment(labels, p_values, fit.prior.names, centre, low, high, trends, _read(trends, level))
+    return ByExperiment(labels, p_values, fit.prior.names, centre, low, high, trends, _read(trends, level, len(labels)))
 
 
 def _physical(fit: ModelFit, controls: Tensor) -> Tensor:
@@ -290,12 +290,18 @@ def _centred(x: Tensor) -> Tensor:
 _MEANING = {"We": "rate or size", "R_inf*": "stretch or gas"}
 
 
-def _read(trends: tuple[Trend, ...], level: float) -> str:
+def _read(trends: tuple[Trend, ...], level: float, experiments: int) -> str:
     if not trends:
         return "All experiments share one design, so nothing can be said about trends."
     limit = -torch.special.ndtri(torch.tensor(0.5 * level / len(trends), dtype=torch.float64)).item()
     found = {name: [t.parameter for t in trends if t.over == name and abs(t.z) > limit] for name in _MEANING}
     said = [f"{', '.join(names)} over {over} (points to {_MEANING[over]})" for over, names in found.items() if names]
+    if len(said) > 1 and experiments < _BESIDE:
+        names = ", ".join(sorted({name for over in found.values() for name in over}))
+        return (
+            f"Fitted parameters differ between the experiments: {names}. {experiments} experiments do not tell a drift over We "
+            f"({_MEANING['We']}) from one over R_inf* ({_MEANING['R_inf*']}); {_BESIDE} would."
+        )
     if said:
         return f"Fitted parameters drift: {'; '.join(said)}."
     return "No fitted parameter drifts over the designs: the cause, if any, is alike in all, as errors of measurement are."

@@ -4,9 +4,10 @@ import pytest
 import torch
 
 from imr_torch.errors import InputDataError
+from imr_torch.gap import locate
 from imr_torch.gap.latent import CAVEAT, latent_pressure, matern
 from imr_torch.gap.linear import Linearisation, linearise
-from imr_torch.gap.locate import PHASES, by_experiment, onset, phase_clock, phase_name
+from imr_torch.gap.locate import PHASES, Trend, by_experiment, onset, phase_clock, phase_name
 from imr_torch.gap.restrict import calibrate, draw_residuals, refit, restrict
 from imr_torch.gap.windows import moving_windows
 from imr_torch.observe import Nuisance
@@ -101,6 +102,16 @@ def test_that_an_effect_of_the_rate_shows_as_a_drift_of_viscosity_over_we(cases)
     assert max(found.p_values) < 1e-6
     assert any(t.parameter == "mu" and t.over == "We" and abs(t.z) > 5.0 for t in found.trends)
     assert "rate or size" in found.reading
+    assert "do not tell" in found.reading  # two designs differ in both coordinates at once
+
+
+def test_that_a_drift_over_one_coordinate_or_over_enough_designs_is_called_by_its_name() -> None:
+    steady, over_weber, over_rest = Trend("G", "R_inf*", 0.0, 0.5), Trend("mu", "We", 1.0, 9.0), Trend("G", "R_inf*", 1.0, 9.0)
+    assert locate._read((over_weber, steady), 0.01, 2) == "Fitted parameters drift: mu over We (points to rate or size)."
+    both = locate._read((over_weber, over_rest), 0.01, 4)
+    assert "mu over We" in both
+    assert "G over R_inf*" in both
+    assert "2 experiments do not tell" in locate._read((over_weber, over_rest), 0.01, 2)
 
 
 def test_that_one_design_shows_no_trends() -> None:
