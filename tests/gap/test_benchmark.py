@@ -169,7 +169,7 @@ def test_that_both_arms_begin_with_one_design_and_the_chosen_ones_can_be_shot() 
 
 def test_that_thresholds_are_those_of_the_library_and_a_change_shows() -> None:
     assert thresholds()["score.LEVEL"] == "0.04"
-    assert thresholds()["attribute.ADEQUATE"] == "0.04"
+    assert thresholds()["attribute.ADEQUATE"] == "0.05"
     assert "THRESHOLDS OR LIBRARY CHANGED" in table([line(), line(frozen="another")])
     assert "CHANGED" not in table([line(), line()])
 
