@@ -15,7 +15,7 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.gap.attribute import ADEQUATE, Adequacy, Attribution, adequacy_test, attribute
 from imr_torch.gap.effects import LIBRARY, Effect, library
-from imr_torch.gap.hypotheses import Hypothesis, fit_null
+from imr_torch.gap.hypotheses import Hypothesis, fit_null, laplace_evidence
 from imr_torch.gap.linear import Linearisation
 from imr_torch.gap.score import GapTest
 from imr_torch.material import ModelBelief, wide_prior
@@ -199,7 +199,9 @@ def _select(offer: _Offer, null: ModelFit, left: Adequacy, most: int) -> _Findin
         if test.p_value >= ADEQUATE:
             return _name(chosen, found, {effect.name: effect.family for effect in offer.effects})
     assert first is not None
-    return _Finding("other", (), f"No effect of the library is enough (adequacy p = {test.p_value:.2g}).", first)
+    nearest = " and ".join(effect.name for effect in chosen)
+    explained = f"{laplace_evidence(fit) - laplace_evidence(null):.0f} nats, adequacy p = {test.p_value:.2g}"
+    return _Finding("other", (), f"No effect of the library is enough; nearest comes {nearest} ({explained}).", first)
 
 
 def _name(chosen: tuple[Effect, ...], found: Attribution, families: Mapping[str, str]) -> _Finding:

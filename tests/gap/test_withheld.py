@@ -1,0 +1,33 @@
+"""The whole diagnosis of one effect: named where it is offered, "other" where it was withheld, with what came nearest."""
+
+import re
+
+import pytest
+
+from imr_torch.gap import diagnose, library
+from tests.gap.synthetic import DESIGNS, SIMULATOR, shoot
+
+TRUTH, RIVALS = "gas_loss", ["wall", "refraction"]
+
+
+@pytest.fixture(scope="module")
+def experiments():
+    return shoot({TRUTH: 0.3}, DESIGNS).experiments
+
+
+def test_that_an_effect_is_named_where_it_is_offered(experiments) -> None:
+    report = diagnose(experiments, effects=library([TRUTH, *RIVALS]), simulator=SIMULATOR, seed=1)
+    assert (report.verdict, report.cause) == ("effect", (TRUTH,))
+    assert report.converged
+
+
+def test_that_it_is_other_where_it_was_withheld(experiments) -> None:
+    report = diagnose(experiments, effects=library(RIVALS), simulator=SIMULATOR, seed=1)
+    assert (report.verdict, report.cause) == ("other", ())
+    said = re.fullmatch(
+        r"No effect of the library is enough; nearest comes (.+) \((\d+) nats, adequacy p = (.+)\)\.", report.reason
+    )
+    assert said is not None
+    assert set(said[1].split(" and ")) <= set(RIVALS)
+    assert float(said[2]) > 3.0
+    assert float(said[3]) < 1e-4
