@@ -16,7 +16,9 @@ from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.observe.distortion import Distortion
 from imr_torch.observe.noise import Noise
 from imr_torch.observe.nuisance import Nuisance, displaced, impossible
-from imr_torch.simulate import Simulator, check_designs
+from imr_torch.simulate import EARLIEST, Simulator, check_designs
+
+_EARLIEST_FILMED = -0.4  # an exposure reaches on from its frame, and so does a clock that is wrong
 
 
 @dataclass(frozen=True)
@@ -195,7 +197,7 @@ def predict(
     if distortion is not None:
         shifts = distortion.shifts if shifts is None else shifts + distortion.shifts
     if shifts is not None:
-        lost = impossible(times, shifts)[..., None]
+        lost = impossible(times, shifts, EARLIEST if distortion is None else _EARLIEST_FILMED)[..., None]
         designs, times, factor = displaced(designs, times, torch.where(lost, 0.0, shifts))
         factor = torch.where(lost, torch.nan, factor)
 

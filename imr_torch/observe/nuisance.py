@@ -13,7 +13,6 @@ from imr_torch.errors import InputDataError
 
 NUISANCES = ("max_radius", "time_zero", "rest_radius")
 
-_EARLIEST = -0.4  # t* to which a first frame may go: growth is not simulated, and an exposure or a wrong clock reach on
 _SMALLEST = 0.1  # of a true Rmax, over the measured one
 
 
@@ -58,7 +57,7 @@ def displaced(designs: Tensor, times: Tensor, shifts: Tensor) -> tuple[Tensor, T
     return torch.cat((weber, rest.clamp(1e-3, 0.999)), dim=-1), (times + shifts[..., 1:2]) / scale, scale
 
 
-def impossible(times: Tensor, shifts: Tensor) -> Tensor:
+def impossible(times: Tensor, shifts: Tensor, earliest: float) -> Tensor:
     """Which experiments shifts ``... x E x 3`` take where there is no bubble to simulate: ``... x E`` boolean tensor.
 
     A search may step there; it is a member that failed, and no error.
@@ -66,8 +65,9 @@ def impossible(times: Tensor, shifts: Tensor) -> Tensor:
     Args:
         times: ``... x E x n_t`` tensor, measured, dimensionless.
         shifts: as in :func:`displaced`.
+        earliest: t* to which a first frame may be taken; one that was measured earlier may stay there.
     """
     scale = 1.0 + shifts[..., 0]
     first = (times[..., 0] + shifts[..., 1]) / scale
-    early = first < times[..., 0].clamp_max(_EARLIEST)
+    early = first < times[..., 0].clamp_max(earliest)
     return ~((scale >= _SMALLEST) & ~early & torch.isfinite(shifts).all(-1))  # NaN is not possible either

@@ -25,6 +25,7 @@ from imr_torch.simulate.radial import (
 from imr_torch.simulate.scipy_reference import ScipySimulator
 from imr_torch.simulate.sensitivity import DESIGN, sensitivities
 from imr_torch.simulate.simulator import (
+    EARLIEST,
     Simulator,
     Solution,
     Status,
@@ -40,6 +41,7 @@ from imr_torch.simulate.transport import ACCURACIES, Accuracy, TransportSimulato
 __all__ = [
     "ACCURACIES",
     "DESIGN",
+    "EARLIEST",
     "PRESETS",
     "RADIAL_EQUATIONS",
     "STEPPINGS",

@@ -17,6 +17,9 @@ from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate.conditions import Conditions
 
+EARLIEST = -0.5
+"""``t*`` before which there is no bubble: ``t* = 0`` is the maximum radius, and growth is not simulated."""
+
 
 class Status(IntEnum):
     """How the solve of one bubble ended."""
@@ -172,7 +175,7 @@ def check_times(times: Tensor) -> None:
     if bool((times[:, 1:] <= times[:, :-1]).any()):
         row = int(torch.nonzero((times[:, 1:] <= times[:, :-1]).any(1))[0])
         raise InputDataError(f"times of batch member {row} do not increase; sort them and drop repeated ones.")
-    if bool((times[:, 0] < -0.5).any()):
+    if bool((times[:, 0] < EARLIEST).any()):
         raise InputDataError(
             f"times start at {float(times.min()):g}; t* = 0 is the maximum radius, and growth is not simulated. "
             "Keep samples from the maximum on."
