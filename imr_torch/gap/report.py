@@ -91,9 +91,7 @@ def _gap(report: GapReport) -> tuple[str, ...]:
     known = [b for b in test.blocks if b.name in LIBRARY and not math.isnan(b.power)]
     hidden = [b for b in known if b.power < _BLIND]
     if hidden:
-        lines.append(
-            "Would probably be missed here at a typical size: " + "; ".join(_needed(b, test.blocks) for b in hidden) + "."
-        )
+        lines.append(f"Would probably be missed here at a typical size: {'; '.join(_missed(hidden, test.blocks))}.")
     elif known:
         lines.append("Every effect of the library that was offered would probably be found here at a typical size.")
     return tuple(lines)
@@ -103,11 +101,17 @@ def _power(block: BlockResult) -> str:
     return f", power {block.power:.2f}" if block.name in LIBRARY and not math.isnan(block.power) else ""
 
 
-def _needed(block: BlockResult, blocks: Sequence[BlockResult]) -> str:
-    """A hidden effect, and how many times the repeats would show it with power 0.8."""
-    factor = math.ceil(repeats_needed(max(block.power, _UNSURE), block.rank, len(blocks)))
-    word = "about" if block.power > _UNSURE else "more than"
-    return f"{block.name} (power {block.power:.2f}; {word} {factor} x the repeats would show it)"
+def _missed(hidden: Sequence[BlockResult], blocks: Sequence[BlockResult]) -> list[str]:
+    """Hidden effects, with how many times the repeats would show each with power 0.8; those of next to no power together."""
+
+    def times(block: BlockResult) -> int:
+        return math.ceil(repeats_needed(max(block.power, _UNSURE), block.rank, len(blocks)))
+
+    likely, blind = ([b for b in hidden if (b.power > _UNSURE) == seen] for seen in (True, False))
+    said = [f"{b.name} (power {b.power:.2f}; about {times(b)} x the repeats would show it)" for b in likely]
+    if blind:
+        said.append(f"{', '.join(b.name for b in blind)} (more than {min(map(times, blind))} x the repeats)")
+    return said
 
 
 def repeats_needed(power: float, rank: int, tests: int, *, wanted: float = 0.8) -> float:

@@ -104,6 +104,9 @@ def test_that_a_hidden_effect_comes_with_the_repeats_it_would_take(found):
     blocks = tuple(replace(b, power=0.3) if b.name == "refraction" else b for b in report.gap.blocks)
     text = describe(replace(report, gap=replace(report.gap, blocks=blocks)))
     assert re.search(r"refraction \(power 0\.30; about \d+ x the repeats would show it\)", text)
+    blocks = tuple(replace(b, power=0.01) if b.name in ("refraction", "rinf_bias") else b for b in blocks)
+    text = describe(replace(report, gap=replace(report.gap, blocks=blocks)))
+    assert re.search(r"(refraction, rinf_bias|rinf_bias, refraction) \(more than \d+ x the repeats\)", text)
 
 
 def test_that_repeats_needed_follow_the_normal_approximation_of_a_two_sided_test():
