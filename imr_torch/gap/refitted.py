@@ -18,6 +18,7 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 
 _ROUNDS = 2
+_FARTHEST_GEL, _FARTHEST_NUISANCE = 1.0, 15.0  # prior sd of a move: beyond lie gels and clocks that cost much and tell nothing
 
 
 def refitted_directions(
@@ -39,18 +40,27 @@ def refitted_directions(
         directions: name -> ``S x N``, whitened changes at each start (:func:`imr_torch.gap.score.effect_directions`).
 
     Returns:
-        Name -> ``S x N``; the first-order rows where the moved gel cannot be simulated or leaves more.
+        Name -> ``S x N``; the first-order rows where the moved gel is far off, cannot be simulated, or leaves more.
     """
     changes = [dict(zip(effect.names, start, strict=True)) for effect in effects for start in effect.starts]
     if not changes:
         return {}
     rows = torch.cat([directions[effect.name] for effect in effects])
     left = line.project(rows).norm(dim=1)
+    farthest = torch.full((line.fitted.shape[1],), _FARTHEST_NUISANCE, dtype=torch.float64)
+    farthest[: len(fit.mean)] = _FARTHEST_GEL
+    under_way = torch.arange(len(rows))
     for _ in range(_ROUNDS):
-        shift = rows @ line.to_shift.mT
-        beside = line.whiten(curves(fit, batch, simulator, changes, -shift) - line.prediction) + line.explained(shift)
+        shift = rows[under_way] @ line.to_shift.mT
+        near = (shift.abs() <= farthest).all(1)
+        under_way, shift = under_way[near], shift[near]
+        if not len(under_way):
+            break
+        moved = curves(fit, batch, simulator, [changes[i] for i in under_way.tolist()], -shift)
+        beside = line.whiten(moved - line.prediction) + line.explained(shift)
         now = line.project(beside).norm(dim=1)
-        smaller = now < left  # not where a solve failed: NaN is not smaller
-        rows, left = torch.where(smaller[:, None], beside, rows), torch.where(smaller, now, left)
+        smaller = now < left[under_way]  # not where a solve failed: NaN is not smaller
+        under_way = under_way[smaller]
+        rows[under_way], left[under_way] = beside[smaller], now[smaller]
     parts = rows.split([len(effect.starts) for effect in effects])
     return {effect.name: part for effect, part in zip(effects, parts, strict=True)}
