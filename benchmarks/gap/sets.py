@@ -99,7 +99,7 @@ class SyntheticSet:
         truth: names of the effects that act.
         offered: the library of the diagnosis.
         values: true parameters beside neutral ones, SI.
-        signal: sd that each effect leaves beside a refit of G and mu in the data that are diagnosed (nuisances apart).
+        signal: sd that a refit of G and mu leaves of each effect in the data that are diagnosed (nuisances apart).
         phase: first phase up to whose end an effect adds what shows in a test for it, ``"none"`` if never.
     """
 
@@ -225,7 +225,7 @@ def _signals(
     plan: ExperimentBatch,
     task: Task,
 ) -> list[list[float]]:
-    """Length in sd of what each effect leaves of a refit of G and mu up to the end of each phase; NaN where it has no curve.
+    """Length in sd of what a refit of G and mu leaves of each effect, up to the end of each phase; NaN where it has no curve.
 
     The refit is a real one as far as it makes the rest smaller: to first order alone, most effects leave several times more.
     """

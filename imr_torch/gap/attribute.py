@@ -29,7 +29,7 @@ from imr_torch.types import Progress
 PRIOR_NONE, PRIOR_OTHER = 0.5, 0.1
 ADEQUATE = 0.05
 """Below this ``p_ad`` the winner leaves a gap, and the verdict is a further effect or "other"; a right winner is so doubted by
-chance once in twenty. In the sets tried, two of four adequate wrong winners lay between .01 and here, one of 35 right ones."""
+chance once in twenty. In the sets tried, two of four adequate wrong winners lay between .01 and here, one of 39 right ones."""
 
 _MASKED = 0.35  # chance that some effect of the library is adequate although the true one is not in it
 _FIT = EnsembleOptions(starts=2, iterations=30, spread=SPREAD, hopeless=6.0)

@@ -27,15 +27,15 @@ LEVEL = 0.04
 _RANK = 1e-3  # singular values below this part of the largest add no direction
 _BOOTSTRAP = 2000
 _PULSES = 8
-_LAWS = {
-    "law_stretch": 1e-3,
-    "law_stretch_squared": 3e-4,
-    "law_compression": 1e-3,
-    "law_compression_steep": 1e-5,
-    "law_velocity": 3e-3,
-    "law_velocity_squared": 1e-3,
-    "law_rate_squared": 1e-4,
-}  # coefficients of the generic closure at which its directions are taken
+_LAWS = (
+    ("law_stretch", 1e-3),
+    ("law_stretch_squared", 3e-4),
+    ("law_compression", 1e-3),
+    ("law_compression_steep", 1e-5),
+    ("law_velocity", 3e-3),
+    ("law_velocity_squared", 1e-3),
+    ("law_rate_squared", 1e-4),
+)  # of the generic closure, and coefficients at which its directions are taken
 STATE_LAW = "a law of the state"
 """Name of the block of the generic closure."""
 _SMALL = 0.05  # amplitude of a first start, over the effect's own: so near the null fit that it cannot end above it
@@ -152,7 +152,7 @@ def generic_blocks(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, 
     centres = torch.linspace(0.1, 0.9, _PULSES, dtype=torch.float64) * last
     width = math.log(0.5 * last / _PULSES)
     changes = [{"pulse": 0.01, "pulse_time": float(c), "pulse_width": width} for c in centres]
-    changes += [{name: step} for name, step in _LAWS.items()]
+    changes += [{name: step} for name, step in _LAWS]
     pulses, laws = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num()).split(
         [_PULSES, len(_LAWS)]
     )
