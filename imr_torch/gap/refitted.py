@@ -3,8 +3,8 @@
 A gel takes back most of what an effect does: it shifts the collapses until they fit again. Projecting the fitted directions
 off a change of tens of standard deviations takes it back to first order only, and the second-order rest, which a real refit
 would not leave, hides or passes for what is left. So the gel (with the nuisances) is moved by the linear refit that takes the
-change back, the effect is simulated beside it, and the rest is taken from there, twice if it gets smaller. A change of hundreds of
-standard deviations (a strong stiffening) still leaves several times what a real refit does.
+change back, the effect is simulated beside it, and the rest is taken from there, twice if it gets smaller. A change of
+hundreds of standard deviations (a strong stiffening) still leaves several times what a real refit does.
 """
 
 from collections.abc import Sequence
