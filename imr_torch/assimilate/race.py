@@ -8,7 +8,7 @@ no business of this file.
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.search import Search, around
+from imr_torch.assimilate.search import NEAR, Search, around
 
 _AWAY = (10.0, 3.0)  # posterior standard deviations by which a first and a second restart are away
 _FAIR = 0.2  # share of the best chain's gain from which a model with several minima is given all its starts
@@ -84,11 +84,14 @@ class Race:
             rows = rows[torch.argsort(search.cost[rows])]
             apart = rows[search.cost[rows] > search.cost[rows[0]] + search.options.agreement]
             fresh = apart[(search.iterations[apart] == 0) & torch.isfinite(search.cost[apart])]
-            agree = len(rows) - len(apart) >= 2 and not (len(fresh) and self._several(rows))
-            if agree or not bool(search.finished[rows].all()):
+            if len(rows) - len(apart) >= 2 and not (len(fresh) and self._several(rows)):
                 continue
-            if len(fresh) and (not self._behind(rows[0], _RESERVE) or (self._several(rows) and self._promising(rows[0]))):
+            arrived = search.finished[rows] | (search.gradient[rows] < NEAR)
+            lags = self._behind(rows[0], _RESERVE) and not (self._several(rows) and self._promising(rows[0]))
+            if len(fresh) and bool(arrived.all()) and not lags:
                 search.finished[fresh] = False
+                continue
+            if not bool(search.finished[rows].all()):
                 continue
             if self._restarts[model] == len(_AWAY) or self._behind(rows[0], 1.0):
                 continue

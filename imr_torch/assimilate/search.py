@@ -26,10 +26,12 @@ from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 
+NEAR = 1.0
+"""Posterior standard deviations from a minimum at which a chain keeps its leader, and a second start may set out."""
+
 _DAMPINGS = (0.0, 1.0, 30.0)  # tried together, times the current damping
 _STUCK = 1e4  # damping at which nothing lowers the cost any more
 _LONGEST_STEP = 4.0  # prior standard deviations
-_NEAR = 1.0  # posterior standard deviations from a minimum at which a chain keeps its leader
 _RESTART = 0.25  # prior standard deviations
 _BESIDE = 10.0  # posterior standard deviations between an earlier optimum and the starts about it
 _AHEAD = 300  # bubbles for whose sake it pays to take the neighbourhoods of all trial steps along, and save a call
@@ -232,7 +234,7 @@ class Search:
         """One Gauss-Newton iteration of the chains that are not finished."""
         chains = torch.nonzero(~self.finished)[:, 0]
         equations = self._linearise(chains)
-        arrived = self.bluntly[chains] & (equations.whitened_gradient < _NEAR)
+        arrived = self.bluntly[chains] & (equations.whitened_gradient < NEAR)
         if bool(arrived.any()):
             self.bluntly[chains[arrived]] = False
             equations = self._linearise(chains)
@@ -338,10 +340,10 @@ class Search:
 
     def _lead(self, chains: Tensor) -> None:
         """Near a minimum a chain takes the leader of another that is there already, or its own point, until it moves away."""
-        for chain in chains[self.led[chains] | (self.gradient[chains] < _NEAR) & ~self.bluntly[chains]].tolist():
+        for chain in chains[self.led[chains] | (self.gradient[chains] < NEAR) & ~self.bluntly[chains]].tolist():
             others = torch.nonzero(self.led & (self.model == self.model[chain]))[:, 0]
             gaps = torch.linalg.solve_triangular(self.chol[chain], (self.leader_gel[others] - self.gel[chain]).mT, upper=False)
-            close = others[gaps.norm(dim=0) < _NEAR]
+            close = others[gaps.norm(dim=0) < NEAR]
             if not close.numel():
                 self._follow_oneself(torch.tensor([chain]))
             elif not (close == chain).any():

@@ -11,6 +11,7 @@ what it could gain, ``1/(-e p ln p)``.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from torch import Tensor
 
@@ -23,7 +24,7 @@ from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, gen
 from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
-from imr_torch.simulate import Simulator
+from imr_torch.simulate import Simulator, simulate_together
 from imr_torch.types import Progress
 
 PRIOR_NONE, PRIOR_OTHER = 0.5, 0.1
@@ -132,12 +133,17 @@ def adequacy_test(
     """The gap test at a fit, of effects that it does not hold and of the generic blocks."""
     line = linearise(fit, batch, simulator)
     others = [effect for effect in effects if not set(effect.names) & set(fit.prior.names)]
-    directions = effect_directions(others, fit, batch, simulator, line)
-    beside = refitted_directions(others, fit, batch, simulator, line, directions)
+
+    def of_effects(simulator: Simulator) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        directions = effect_directions(others, fit, batch, simulator, line)
+        return directions, refitted_directions(others, fit, batch, simulator, line, directions)
+
+    tasks = (of_effects, lambda s: generic_blocks(fit, batch, s, line))
+    found: dict[int, Any] = dict(simulate_together(tasks, simulator))
+    (directions, beside), generic = found[0], found[1]
     blocks = [block(name, rows, line) for name, rows in beside.items()]
     starts = {effect.name: promising_starts(effect, beside[effect.name], line) for effect in others}
-    test = gap_test([*blocks, *generic_blocks(fit, batch, simulator, line)], line, seed=seed)
-    return Adequacy(test, starts, line, directions)
+    return Adequacy(gap_test([*blocks, *generic], line, seed=seed), starts, line, directions)
 
 
 def _weigh(

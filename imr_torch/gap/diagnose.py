@@ -44,7 +44,8 @@ class GapReport:
         gap: the gap test at that fit.
         line: that fit's neighbourhood.
         directions: what each effect changes there, whitened: name -> ``S x N``.
-        attribution: causes, if there is a gap; of the last effect where several were selected.
+        attribution: causes, if there is a gap: of the last effect selected if all are enough together, else of the first.
+        adequacy_p: of all effects that were selected together; None where none was.
         verdict: ``"none"``, ``"effect"``, ``"class"``, ``"other"`` or ``"undecided"``.
         cause: names of the effects that the verdict names.
         seconds: wall time.
@@ -57,6 +58,7 @@ class GapReport:
     line: Linearisation
     directions: dict[str, Tensor]
     attribution: Attribution | None
+    adequacy_p: float | None
     verdict: str
     cause: tuple[str, ...]
     seconds: float
@@ -124,6 +126,7 @@ def diagnose(
         line=base_left.line,
         directions=base_left.directions,
         attribution=found.attribution,
+        adequacy_p=found.adequacy_p,
         verdict=found.verdict,
         cause=found.cause,
         seconds=time.perf_counter() - start,
@@ -154,6 +157,7 @@ class _Finding:
     cause: tuple[str, ...]
     reason: str
     attribution: Attribution | None = None
+    adequacy_p: float | None = None
 
 
 @dataclass(frozen=True)
@@ -201,14 +205,15 @@ def _select(offer: _Offer, null: ModelFit, left: Adequacy, most: int) -> _Findin
     assert first is not None
     nearest = " and ".join(effect.name for effect in chosen)
     explained = f"{laplace_evidence(fit) - laplace_evidence(null):.0f} nats, adequacy p = {test.p_value:.2g}"
-    return _Finding("other", (), f"No effect of the library is enough; nearest comes {nearest} ({explained}).", first)
+    reason = f"No effect of the library is enough; nearest comes {nearest} ({explained})."
+    return _Finding("other", (), reason, first, test.p_value)
 
 
 def _name(chosen: tuple[Effect, ...], found: Attribution, families: Mapping[str, str]) -> _Finding:
     """An adequate cause: alone if it is sure, else the class of those that the data do not tell apart."""
-    before = tuple(effect.name for effect in chosen[:-1])
+    before, adequacy = tuple(effect.name for effect in chosen[:-1]), found.adequacy.p_value
     if not found.fits[found.winner].certificate.converged:
-        return _Finding("undecided", (*before, chosen[-1].name), "The leading effect's fit did not converge.", found)
+        return _Finding("undecided", (*before, chosen[-1].name), "The leading effect's fit did not converge.", found, adequacy)
     known = {name: found.posterior[name] for name in found.posterior if name not in ("none", "other")}
     total = sum(known.values())
     share = {name.split("+")[-1]: p / total for name, p in sorted(known.items(), key=lambda item: -item[1])}
@@ -216,8 +221,8 @@ def _name(chosen: tuple[Effect, ...], found: Attribution, families: Mapping[str,
     if sum(family.values()) >= _SURE:
         same = tuple(name for name, p in family.items() if p > 0.05)
         verdict = "effect" if len(same) == 1 else "class"
-        reason = f"Adequate (p = {found.adequacy.p_value:.2g}), and the others are improbable."
-        return _Finding(verdict, before + same, reason, found)
+        reason = f"Adequate (p = {adequacy:.2g}), and the others are improbable."
+        return _Finding(verdict, before + same, reason, found, adequacy)
     likely, reached = [], 0.0
     for name, p in share.items():
         likely.append(name)
@@ -225,4 +230,5 @@ def _name(chosen: tuple[Effect, ...], found: Attribution, families: Mapping[str,
         if reached >= _SET:
             break
     verdict = "class" if len(likely) <= _LARGEST_CLASS else "undecided"
-    return _Finding(verdict, before + tuple(likely), "These effects explain the data about equally well.", found)
+    reason = "These effects explain the data about equally well."
+    return _Finding(verdict, before + tuple(likely), reason, found, adequacy)

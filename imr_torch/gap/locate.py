@@ -18,6 +18,7 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.gap.linear import Linearisation, curves
 from imr_torch.gap.restrict import calibrate, draw_residuals, log_p, moved, refit, restrict
+from imr_torch.gap.score import pulse_changes, shape_rows
 from imr_torch.observe import ExperimentBatch, collapse_time
 from imr_torch.random import SeedLike
 from imr_torch.simulate import Simulator
@@ -28,7 +29,6 @@ PHASES = ("start", "first collapse", "first rebound", "second collapse", "later"
 _ENDS = (0.3, 1.25, 1.75, 2.25)  # phase clock at which each ends; what a collapse did is seen in the rise after it
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset or trend; that there is a gap at all is not decided here
-_PULSES = 8
 _RAYLEIGH = 0.915  # collapse time of an empty bubble, Rmax sqrt(rho/p)
 _BESIDE = 4  # designs from which on the trends in We and R_inf* are told apart
 
@@ -96,14 +96,10 @@ def generic_directions(fit: ModelFit, line: Linearisation, batch: ExperimentBatc
     Returns:
         Name -> whitened rows ``k x N``. A pulse is a test of its own, so that an early prefix is not asked about late ones.
     """
-    last = float(batch.times[batch.mask].max())
-    centres = torch.linspace(0.1, 0.9, _PULSES, dtype=torch.float64) * last
-    width = math.log(0.5 * last / _PULSES)
-    changes = [{"pulse": 0.01, "pulse_time": float(c), "pulse_width": width} for c in centres]
-    pulses = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num())
-    slope = torch.stack([torch.gradient(r, spacing=(t,))[0] for r, t in zip(line.prediction, batch.times, strict=True)])
-    shape = line.whiten(torch.stack((slope, batch.times * slope)))
-    return {f"pulse at {c:.2f}": row[None] for c, row in zip(centres.tolist(), pulses, strict=True)} | {"shape": shape}
+    changes = pulse_changes(batch)
+    pulses = line.whiten((curves(fit, batch, simulator, list(changes.values())) - line.prediction).nan_to_num())
+    rows = {f"pulse at {moment:.2f}": row[None] for moment, row in zip(changes, pulses, strict=True)}
+    return rows | {"shape": shape_rows(line)[:2]}
 
 
 def onset(

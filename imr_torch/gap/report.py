@@ -294,7 +294,7 @@ def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
         "cause": list(report.cause),
         "posterior": None if found is None else found.posterior,
         "credible_set": None if found is None else list(found.credible_set()),
-        "adequacy_p": None if found is None else found.adequacy.p_value,
+        "adequacy_p": report.adequacy_p,
         "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
         "best_rival": None if judged is None else judged.rival,
         "parameter_shift": parameter_shift(report),

@@ -146,16 +146,11 @@ def block(name: str, rows: Tensor, line: Linearisation) -> Block:
 
 def generic_blocks(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation) -> list[Block]:
     """Blocks that stand for no effect in particular: a law of the state, pulses, drifting parameters, distorted output."""
-    experiments = len(batch.experiments)
-    times = batch.times
+    experiments, times = len(batch.experiments), batch.times
     last = float(times[batch.mask].max())
-    centres = torch.linspace(0.1, 0.9, _PULSES, dtype=torch.float64) * last
-    width = math.log(0.5 * last / _PULSES)
-    changes = [{"pulse": 0.01, "pulse_time": float(c), "pulse_width": width} for c in centres]
-    changes += [{name: step} for name, step in _LAWS]
-    pulses, laws = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num()).split(
-        [_PULSES, len(_LAWS)]
-    )
+    changes = [*pulse_changes(batch).values(), *({name: step} for name, step in _LAWS)]
+    rows = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num())
+    pulses, laws = rows[: -len(_LAWS)], rows[-len(_LAWS) :]
     data = line.fitted.shape[0] - line.fitted.shape[1]
     gel = torch.nn.functional.pad(line.fitted[:data, : len(fit.mean)].mT, (0, line.fitted.shape[1]))
     early = torch.nn.functional.pad((times < 0.5 * last).flatten().to(gel), (0, line.fitted.shape[1]))
@@ -163,7 +158,7 @@ def generic_blocks(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, 
         block(STATE_LAW, laws, line),
         block("pulses common to all experiments", pulses, line),
         block("parameters early against late", gel * early, line),
-        block("shape of the output", _shape_rows(line), line),
+        block("shape of the output", shape_rows(line), line),
     ]
     if experiments > 1:
         masks = torch.eye(experiments, dtype=torch.float64)[:, :, None].expand(-1, -1, times.shape[1]).flatten(1)
@@ -173,7 +168,15 @@ def generic_blocks(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, 
     return blocks
 
 
-def _shape_rows(line: Linearisation) -> Tensor:
+def pulse_changes(batch: ExperimentBatch) -> dict[float, dict[str, float]]:
+    """Small pressure pulses side by side over the records: moment ``t*`` -> parameters."""
+    last = float(batch.times[batch.mask].max())
+    width = math.log(0.5 * last / _PULSES)
+    centres = torch.linspace(0.1, 0.9, _PULSES, dtype=torch.float64) * last
+    return {t: {"pulse": 0.01, "pulse_time": t, "pulse_width": width} for t in centres.tolist()}
+
+
+def shape_rows(line: Linearisation) -> Tensor:
     """``dR/dt``, ``t dR/dt`` and ``d2R/dt2`` of the prediction, by differences between frames; ``3 x N``."""
     times = line.batch.times
     slope = torch.stack([torch.gradient(r, spacing=(t,))[0] for r, t in zip(line.prediction, times, strict=True)])

@@ -122,5 +122,6 @@ class PermanentSet:
     def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
         """See :class:`imr_torch.material.stress.StressTerm`."""
         moved = rest_radius + theta["permanent_set"] * (1.0 - rest_radius)
-        after, before = (_elastic(radius, velocity, rest, theta) for rest in (moved, rest_radius))
-        return Stress(after.value - before.value, after.rate - before.rate, after.acceleration)
+        rests = torch.stack((moved, rest_radius)).reshape(2, *[1] * (radius.ndim - moved.ndim), *moved.shape)
+        both = _elastic(radius, velocity, rests, theta)
+        return Stress(both.value[0] - both.value[1], both.rate[0] - both.rate[1], both.acceleration[0])

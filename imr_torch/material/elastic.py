@@ -52,12 +52,12 @@ class StrainStiffening:
     def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
         """See :class:`imr_torch.material.stress.StressTerm`."""
         x = rest_radius / radius
-        stretch = radius / rest_radius
         x2 = x * x
-        x4 = x2 * x2
+        x3 = x2 * x
+        stretch = 4.0 / x
         scale = theta["alpha"] * theta["G"]
-        value = scale * (8.85 + 0.25 * x4 * x4 + 0.4 * x4 * x - 1.5 * x4 + 2.0 * x2 - 6.0 * x - 4.0 * stretch)
-        slope = scale * (-2.0 * x4 * x4 - 2.0 * x4 * x + 6.0 * x4 - 4.0 * x2 + 6.0 * x - 4.0 * stretch)  # dS/d(ln l)
+        value = scale * (8.85 - stretch + x * (x3 * (x * (0.4 + 0.25 * x3) - 1.5) + 2.0 * x - 6.0))
+        slope = scale * (-2.0 * x * (x3 * (x + x2 * x2 - 3.0) + 2.0 * x - 3.0) - stretch)  # dS/d(ln l)
         return Stress(value, slope * velocity / radius, torch.zeros_like(value))
 
     def slopes(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> StressSlopes:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 import imr_torch.simulate.effects  # noqa: F401 - registers its parameters
-from imr_torch.material import PARAMETERS, AnyTerm, active_terms, dimensionless, memory_start, memory_states
+from imr_torch.material import PARAMETERS, AnyTerm, active_terms, dimensionless, memory_start, memory_states, remembers
 from imr_torch.simulate.conditions import SATURATION_PREFACTOR, SATURATION_TEMPERATURE, Conditions
 
 
@@ -125,15 +125,22 @@ class Bubbles:
         }
         names = (*numbers, *(f"theta.{name}" for name in theta))
         rows = torch.stack(torch.broadcast_tensors(*numbers.values(), *theta.values()))
-        acting = frozenset(name for name, value in theta.items() if bool((value != PARAMETERS[name].neutral).any()))
+        acting = _acting(rows[-len(theta) :])
         return cls(conditions, Constants.of(conditions), active_terms(theta, terms), names, rows, acting)
 
     def __len__(self) -> int:
         return self.numbers.shape[1]
 
     def take(self, members: Tensor) -> "Bubbles":
-        """The sub-batch of the members with these indices."""
-        return replace(self, numbers=self.numbers[:, members])
+        """The sub-batch of the members with these indices.
+
+        Terms that none of them has are left out, or a few slow members would pay for everybody's. What has rows of the
+        state stays: memory, and gas that is lost.
+        """
+        numbers = self.numbers[:, members]
+        acting = _acting(numbers[-len(PARAMETERS) :])
+        terms = tuple(term for term in self.terms if term.switch in acting or remembers(term))
+        return replace(self, numbers=numbers, terms=terms)
 
     def __getitem__(self, name: str) -> Tensor:
         return self._rows[name]
@@ -175,6 +182,12 @@ class Bubbles:
     def mirrored(self) -> bool:
         """Whether any member has a mirror bubble."""
         return "wall" in self.acting
+
+
+def _acting(theta: Tensor) -> frozenset[str]:
+    """Parameters (rows, ``p x B``) that are not neutral in some member."""
+    moved = (theta != PARAMETERS.neutral(dtype=theta.dtype).to(theta.device)[:, None]).any(1)
+    return frozenset(name for name, acts in zip(PARAMETERS.names, moved.tolist(), strict=True) if acts)
 
 
 def _contents(weber: Tensor, rest: Tensor, theta: dict[str, Tensor], conditions: Conditions) -> dict[str, Tensor]:
