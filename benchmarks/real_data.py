@@ -21,8 +21,8 @@ import torch
 
 from imr_torch import characterize, load_traces
 from imr_torch.assimilate import EnsembleOptions, ModelFit, Verdict
-from imr_torch.characterize import Characterization, predictive_band
-from imr_torch.errors import ImrError
+from imr_torch.characterize import Characterization, predictive_band, prepare
+from imr_torch.errors import ImrError, InputDataError
 from imr_torch.observe import NUISANCES, TraceSet, collapse_time, find_landmarks
 from imr_torch.plot import plot_experiment
 from imr_torch.select import cross_validate
@@ -116,11 +116,20 @@ class Task:
 
 
 def some(traces: TraceSet, most: int) -> TraceSet:
-    """At most so many traces, evenly spread."""
-    names = [trace.experiment_id for trace in traces]
-    if most == 0 or len(names) <= most:
+    """At most so many traces, evenly spread over those long enough to be fitted."""
+    if most == 0 or len(traces) <= most:
         return traces
-    return traces.select([names[(2 * i + 1) * len(names) // (2 * most)] for i in range(most)])
+    names = [name for name in (trace.experiment_id for trace in traces) if _long_enough(traces.select([name]))]
+    kept = [names[(2 * i + 1) * len(names) // (2 * most)] for i in range(most)] if len(names) > most else names
+    return traces.select(kept) if kept else traces
+
+
+def _long_enough(trace: TraceSet) -> bool:
+    try:
+        prepare(trace, TransportSimulator(), rest_radius=REST)
+    except InputDataError:
+        return False
+    return True
 
 
 def _scores(result: Characterization, simulator: Simulator, options: EnsembleOptions) -> dict[str, Any]:
