@@ -67,7 +67,7 @@ def test_that_json_has_the_agreed_keys_and_what_was_found(found):
 def test_that_parts_that_were_not_run_are_null_and_said_to_be_missing(found):
     report, _ = found
     assert {key for key, value in to_json(report).items() if value is None} == set(PARTS)
-    document = to_json(replace(report, attribution=None, verdict="none", cause=()))
+    document = to_json(replace(report, attribution=None, adequacy_p=None, verdict="none", cause=()))
     assert set(document) == {*FOUND, *PARTS, *CAUSES}
     assert {key for key, value in document.items() if value is None} == {*PARTS, *CAUSES}
     assert "no shrinkage on held-out designs was computed" in describe(report)
