@@ -256,6 +256,19 @@ def test_that_in_a_race_the_other_starts_of_a_model_with_several_minima_follow()
     assert cost(rows) == pytest.approx(best, abs=1e-3)
 
 
+def test_that_in_a_race_a_second_start_does_not_wait_for_the_last_digits_of_the_first() -> None:
+    """A tolerance that rounding does not allow keeps the first start going; the second has set out long before it rests."""
+    belief, batch = prior(("nhkv",)), experiments(3)
+    lines: list[str] = []
+    options = EnsembleOptions(hopeless=5.0, gradient=1e-30, iterations=6)
+    starts = [tensor((0.3, 0.0), (1.5, 0.5))]
+    found = assimilate(
+        belief, batch, LinearSimulator(), seed=1, options=options, starts=starts, warn=False, progress=lines.append
+    )
+    assert len(lines) == 6
+    assert found.fits[0].certificate.agreement < 1e-6
+
+
 # ---------------------------------------------------------------- certificates, both ways
 
 

@@ -219,6 +219,19 @@ def test_that_heat_exchange_leads_from_adiabatic_to_isothermal(factor: float, ex
     assert bool((exponents.diff() * (exponent - 1.3) > 0.0).all())
 
 
+def test_that_members_left_alone_drop_the_terms_of_others_but_keep_the_rows_of_the_state() -> None:
+    rows = torch.stack([gel(**BASE), gel(**BASE, yield_stress=1e3), gel(**BASE, damage=0.5)])
+    batch = Bubbles.of(rows, DESIGN.expand(3, 2), Conditions())
+
+    def switches(bubbles: Bubbles) -> set[str]:
+        return {term.switch for term in bubbles.terms}
+
+    assert switches(batch) == {"G", "mu", "yield_stress", "damage"}
+    assert switches(batch.take(torch.tensor([0]))) == {"G", "mu", "damage"}
+    assert switches(batch.take(torch.tensor([1, 2]))) == switches(batch)
+    assert batch.take(torch.tensor([0])).states == batch.states == 1
+
+
 @pytest.mark.parametrize("strength", [-0.2, 0.3])
 def test_that_a_mirror_bubble_adds_to_the_mass_that_moves(strength: float) -> None:
     """The pressure of the mirror image at the wall is ``b d(R^2 U)/dt``: ``omega^2`` falls to ``omega^2/(1 + b)``."""
