@@ -7,7 +7,6 @@ model and inferred with it. They are closures, chosen to be simple and to act wh
 from collections.abc import Mapping
 from typing import ClassVar
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,7 +15,6 @@ from imr_torch.material.stress import Stress
 
 _SMOOTH = 0.02  # velocity below which |U| and sign(U) are rounded off
 _SLOWEST = 0.1  # shear rate below which a yield stress is not felt
-_NODES, _WEIGHTS = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(24))
 
 
 def _elastic(radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
@@ -83,7 +81,8 @@ class YieldStress:
 class GradedModulus:
     """A modulus ``G (1 + g (R_inf/r_0)^3)`` of the gel at rest: harder (or softer) towards the bubble.
 
-    With the hoop stretch ``b``, ``(R_inf/r_0)^3 = (b^3 - 1)/(l^3 - 1)``; by Gauss-Legendre quadrature over ``ln b``.
+    With the hoop stretch ``b``, ``(R_inf/r_0)^3 = (b^3 - 1)/(l^3 - 1)``: ``S = -2 G g int (b^2 - b^-4)/(l^3 - 1) d ln b`` from
+    1 to ``l``, which is ``-2 G g (l^3 - 1) q`` with ``q = ((l + 1)/(2 l^2 (l^2 + l + 1)))^2 (2 l^2 + 1)``.
     """
 
     names: ClassVar[tuple[str, ...]] = ("G", "graded_modulus")
@@ -93,20 +92,14 @@ class GradedModulus:
     def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
         """See :class:`imr_torch.material.stress.StressTerm`."""
         stretch = radius / rest_radius
-        span = torch.log(stretch)
-        near = span.real.abs() < 1e-4  # 0/0 in the weight: two terms of its series serve there
-        wide = torch.where(near, torch.ones_like(span), span)
-        nodes = 0.5 * (1.0 + _NODES.to(radius)).reshape(-1, *[1] * radius.ndim)
-        weights = 0.5 * _WEIGHTS.to(radius).reshape(nodes.shape)
-        b, l3 = torch.exp(nodes * wide), torch.exp(3.0 * wide)
-        share = (b**3 - 1.0) / (l3 - 1.0)
-        whole = wide * ((1.0 / b + b**-4) * share * weights).sum(0)
-        # d/d ln l: the density at the wall, and the weight of all the rest falling as 1/(l^3 - 1)
-        slope = torch.exp(-wide) + torch.exp(-4.0 * wide) - 3.0 * l3 / (l3 - 1.0) * whole
-        whole = torch.where(near, span * (1.0 - 13.0 / 6.0 * span), whole)
-        slope = torch.where(near, 1.0 - 13.0 / 3.0 * span, slope)
+        inverse = rest_radius / radius
+        square, cube = stretch * stretch, stretch * stretch * stretch
+        root = (stretch + 1.0) / (2.0 * square * (square + stretch + 1.0))
+        q = root * root * (2.0 * square + 1.0)
+        slope = inverse * (1.0 + inverse * inverse * inverse) - 3.0 * cube * q  # of (l^3 - 1) q in ln l
         scale = -2.0 * theta["G"] * theta["graded_modulus"]
-        return Stress(scale * whole, scale * slope * velocity / radius, torch.zeros_like(whole))
+        value = scale * (cube - 1.0) * q
+        return Stress(value, scale * slope * velocity / radius, torch.zeros_like(value))
 
 
 class PermanentSet:

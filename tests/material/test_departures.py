@@ -38,7 +38,7 @@ def test_that_a_graded_gel_is_the_quadrature_of_its_modulus(radius: float) -> No
 
 
 def test_that_a_graded_gel_passes_smoothly_through_its_rest() -> None:
-    """The weight is 0/0 there: value and rate must not jump where the series takes over, at ``|ln l| = 1e-4``."""
+    """Its weight is 0/0 there, which the closed form must not show."""
     edge = torch.tensor([-1e-4, 0.0, 1e-4], dtype=torch.float64)
     stretch = torch.exp(edge[:, None] + 1e-9 * torch.tensor([-1.0, 1.0], dtype=torch.float64))
     stress = GradedModulus()(stretch, stretch, torch.ones_like(stretch), tensors({"G": 1.0, "graded_modulus": 1.0}))
