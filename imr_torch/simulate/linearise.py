@@ -12,7 +12,7 @@ from torch import Tensor
 
 from imr_torch.simulate.bordered import Jacobian
 from imr_torch.simulate.rhs import Equations, Fields
-from imr_torch.simulate.wall import acceleration_slopes, leak
+from imr_torch.simulate.wall import acceleration_slopes, leak_slopes
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def _wall_rows(equations: Equations, f: Fields) -> tuple[Tensor, Tensor, Tensor,
         scale * ((k - 1.0) * chi * corner + gain * by_heat),
     )
     if b.leaking:
-        lost, by_radius, by_velocity = leak(b, f.radius, f.velocity)
+        lost, by_radius, by_velocity = leak_slopes(b, f.radius, f.velocity)
         losses = (f.pressure * by_radius, f.pressure * by_velocity, lost)
         pressure_row = (*(row - loss for row, loss in zip(pressure_row, losses, strict=False)), *pressure_row[3:])
     pressure_slopes = torch.stack((scale * (k - 1.0) * chi, scale * gain * wall.flux_factor))

@@ -115,7 +115,7 @@ def head_of(bubbles: Bubbles, state: Tensor) -> Head:
     strain, extra = velocity / radius, None
     if bubbles.leaking:
         inside = inside * state[3 + bubbles.states]
-        extra = -inside * leak(bubbles, radius, velocity)[0]
+        extra = -inside * leak(bubbles, radius, velocity)
     if bubbles.trapping:
         trapped = bubbles.theta["condensation"]
         vapour = vapour * compression**trapped
@@ -134,7 +134,7 @@ def rate_of(bubbles: Bubbles, head: Head, state: Tensor) -> Tensor:
     if bubbles.states:
         rows.append(gel_memory_rate(bubbles, head))
     if bubbles.leaking:
-        rows.append(-state[-1:] * leak(bubbles, head.radius, head.velocity)[0])
+        rows.append(-state[-1:] * leak(bubbles, head.radius, head.velocity))
     return torch.cat(rows) if len(rows) > 1 else rows[0]
 
 

@@ -155,7 +155,7 @@ class Equations:
         source = (k - 1.0) * chi * slopes[0, 0] + k * c.vapour_constant * wall.flux_factor * slopes[0, 1]
         rate = 3.0 / radius * (source / radius - k * pressure * velocity)
         if self.bubbles.leaking:
-            rate = rate - pressure * leak(self.bubbles, radius, velocity)[0]
+            rate = rate - pressure * leak(self.bubbles, radius, velocity)
         contents = pressure + self.bubbles["constant_vapour"]
         head = Head(radius if time is None else time, radius, velocity, contents, rate, state[HEAD + 2 * n + m :])
         return Fields(

@@ -70,14 +70,20 @@ def gel_memory_rate(bubbles: Bubbles, head: Head) -> Tensor:
     return memory_rate(bubbles.terms, head.radius, head.velocity, bubbles["rest_radius"], bubbles.theta, head.memory)
 
 
-def leak(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Rate at which gas is lost while ``R < R_inf``, ``-n'/n = eta |U|/R (1 - R/R_inf)^2``, and its derivatives in R and U."""
+def leak(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> Tensor:
+    """Rate at which gas is lost while ``R < R_inf``, ``-n'/n = eta |U|/R (1 - R/R_inf)^2``, a ``B`` tensor."""
+    depth = (1.0 - radius / bubbles["rest_radius"]).clamp_min(0.0)
+    speed = torch.sqrt(velocity * velocity + _SMOOTH**2) - _SMOOTH
+    return bubbles.theta["gas_loss"] * speed / radius * depth * depth
+
+
+def leak_slopes(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The rate of :func:`leak` and its derivatives in R and U."""
     rate, rest = bubbles.theta["gas_loss"], bubbles["rest_radius"]
     root = torch.sqrt(velocity * velocity + _SMOOTH**2)
     depth = (1.0 - radius / rest).clamp_min(0.0)
-    scale = rate * (root - _SMOOTH) / radius
-    by_radius = -scale * depth * (depth / radius + 2.0 / rest)
-    return scale * depth**2, by_radius, rate * velocity / root / radius * depth**2
+    by_radius = -rate * (root - _SMOOTH) / radius * depth * (depth / radius + 2.0 / rest)
+    return leak(bubbles, radius, velocity), by_radius, rate * velocity / root / radius * depth**2
 
 
 def acceleration_slopes(bubbles: Bubbles, head: Head) -> tuple[Tensor, HeadSlopes]:
