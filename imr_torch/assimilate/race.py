@@ -35,7 +35,7 @@ class Race:
         self._restart()
 
     def _hold_back(self) -> None:
-        """In a race of models only the best start of each sets out; the others wait for it to arrive."""
+        """In a race of models only the best start of each sets out; the others wait until it is near a minimum."""
         search = self._search
         if search.options.hopeless is None:
             return
@@ -86,9 +86,9 @@ class Race:
             fresh = apart[(search.iterations[apart] == 0) & torch.isfinite(search.cost[apart])]
             if len(rows) - len(apart) >= 2 and not (len(fresh) and self._several(rows)):
                 continue
-            arrived = search.finished[rows] | (search.gradient[rows] < NEAR)
+            near = search.finished[rows] | (search.gradient[rows] < NEAR)
             lags = self._behind(rows[0], _RESERVE) and not (self._several(rows) and self._promising(rows[0]))
-            if len(fresh) and bool(arrived.all()) and not lags:
+            if len(fresh) and bool(near.all()) and not lags:
                 search.finished[fresh] = False
                 continue
             if not bool(search.finished[rows].all()):
