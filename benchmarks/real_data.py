@@ -116,7 +116,7 @@ class Task:
 
 
 def some(traces: TraceSet, most: int) -> TraceSet:
-    """At most so many traces, evenly spread over those long enough to be fitted; all where none is, so that the error says why."""
+    """At most so many traces, evenly spread over those long enough to be fitted; all if none is, to learn why."""
     if most == 0 or len(traces) <= most:
         return traces
     names = [name for name in (trace.experiment_id for trace in traces) if _long_enough(traces.select([name]))]

@@ -52,7 +52,8 @@ class EnsembleOptions:
         agreement: tolerance of the cost difference between the two best starts, nats.
         hopeless: a start rests, unconverged, once its cost less what its gradient promises is worse than the best cost of
             any model by more than this, nats; never when not given. When given, models race: the best start of each sets
-            out, and a second follows once it is near a minimum and not too far behind; of more than two, all follow from farther behind too.
+            out, and a second follows once that is near a minimum and not too far behind; of more than two, all follow from
+            farther behind too.
         blunt: whether chains leave the frames next to collapses out until they are near a minimum
             (:mod:`imr_torch.assimilate.blunt`); when not given, those that set out from scouts do.
     """
