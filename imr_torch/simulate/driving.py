@@ -110,7 +110,8 @@ class TabulatedDriving:
         from scipy.interpolate import CubicSpline  # only for those who tabulate
 
         spline = CubicSpline(self.times, self.pressures, bc_type="clamped")
-        return torch.as_tensor(spline.x), torch.as_tensor(spline.c)
+        with torch.inference_mode(False):  # they outlive the solve that asks for them first
+            return torch.as_tensor(spline.x), torch.as_tensor(spline.c)
 
     def __call__(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """See :class:`Driving`."""
