@@ -91,6 +91,10 @@ class Factors:
     def __init__(self, jacobian: Jacobian, shift: Tensor, slope: Tensor, wall_slope: Tensor, outer_wall_slope: Tensor) -> None:
         self._jacobian, self._shift, self._slope = jacobian, shift, slope
         self._inside, self._outside = _shifted_inverses(jacobian.inside, jacobian.outside, shift)
+        self._heat, self._vapour = self._inside.unbind(2)
+        n, m = len(self._heat), len(self._outside)
+        self._fields = (n, n, m)
+        self._parts = (3, 1, 2 * n + m, jacobian.velocity_memory.shape[0])
         rows = self._wall_functionals(wall_slope, outer_wall_slope)
         self._functionals = torch.cat(rows, 1)
         self._border = invert(self._border_matrix(*rows))
@@ -134,22 +138,20 @@ class Factors:
 
     def solve(self, right: Tensor) -> Tensor:
         """Solve for one right-hand side, ``(4 + 2n + m + K) x B`` in the layout of the state."""
-        j, n = self._jacobian, self._inside.shape[0]
-        end = 4 + self._functionals.shape[1]
-        inputs = torch.cat((right[:3], (self._functionals * right[4:end]).sum(1), right[end:]))
-        inputs[4] += right[3]
+        j = self._jacobian
+        motion, wall, fields, memory = right.split_with_sizes(self._parts)
+        inputs = torch.cat((motion, (self._functionals * fields).sum(1), memory))
+        inputs[4] += wall[0]
         border = (self._border * inputs).sum(1)
-        solution = torch.empty_like(right)
-        solution[:3], solution[3], solution[end:] = border[:3], border[4], border[5:]
+        motion, _, wall, memory = border.split_with_sizes((3, 1, 1, len(border) - 5))
         border = border[:5]
-        sources = (j.inside_border * border[:, None]).sum(1)  # n x 2 x B
-        heat = (self._inside[:, :, 0] * (right[4 : 4 + n] + sources[:, 0])).sum(1)
-        drive = right[4 + n : 4 + 2 * n] + sources[:, 1] + j.coupling_slope * (self._slope @ heat) + j.coupling * heat
-        solution[4 : 4 + n] = heat
-        solution[4 + n : 4 + 2 * n] = (self._inside[:, :, 1] * drive).sum(1)
-        gel = right[4 + 2 * n : end] + (j.outside_border * border).sum(1)
-        solution[4 + 2 * n : end] = (self._outside * gel).sum(1)
-        return solution
+        by_heat, by_vapour = (j.inside_border * border[:, None]).sum(1).unbind(1)
+        heat, vapour, gel = fields.split_with_sizes(self._fields)
+        heat = (self._heat * (heat + by_heat)).sum(1)
+        drive = vapour + by_vapour + j.coupling_slope * (self._slope @ heat) + j.coupling * heat
+        vapour = (self._vapour * drive).sum(1)
+        gel = (self._outside * (gel + (j.outside_border * border).sum(1))).sum(1)
+        return torch.cat((motion, wall, heat, vapour, gel, memory))
 
 
 def _shifted_inverses(inside: Tensor, outside: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:

@@ -89,6 +89,7 @@ class Equations:
         self.bubbles, self.inside, self.outside = bubbles, inside, outside
         self.n, self.m, self.memory = len(inside), len(outside), bubbles.states
         self.rows = HEAD + 2 * self.n + self.m + self.memory
+        self._parts = (HEAD - 1, 1 + self.n, self.n, self.m, self.memory)  # tau with tau_w before it
         self._inside_operator = torch.cat((inside.first, inside.laplacian))
         self._outside_operator = torch.cat((outside.first, outside.laplacian))
         self.y = inside.nodes[:, None]
@@ -138,26 +139,24 @@ class Equations:
     def fields(self, state: Tensor, time: Tensor | None = None) -> Fields:
         """Temperatures, slopes and the pressure's rate at a state; ``time`` (``B``) matters where the far field is driven."""
         c, n, m = self.bubbles.constants, self.n, self.m
-        radius, velocity, pressure = state[0], state[1], torch.exp(state[2])
-        conductivity = torch.sqrt(1.0 + 2.0 * c.slope * state[3 : HEAD + n])  # K = A T + B as a function of tau
+        motion, tau, vapour, theta, memory = state.split_with_sizes(self._parts)
+        radius, velocity, log_pressure = motion.unbind()
+        pressure = torch.exp(log_pressure)
+        conductivity = torch.sqrt(1.0 + 2.0 * c.slope * tau)  # K = A T + B as a function of tau
         temperature = (conductivity + (c.slope - 1.0)) / c.slope
         wall = self._wall(pressure, temperature[0], conductivity[0])
-        profiles = state.new_empty(n + 1, 2, state.shape[1])
-        profiles[:, 0], profiles[0, 1], profiles[1:, 1] = (
-            state[3 : HEAD + n],
-            wall.vapour,
-            state[HEAD + n : HEAD + 2 * n],
-        )
-        inner = (self._inside_operator @ profiles.reshape(n + 1, -1)).reshape(2 * n + 1, 2, -1)
-        outer = self._outside_operator @ torch.cat((temperature[:1] - 1.0, state[HEAD + 2 * n : HEAD + 2 * n + m]))
-        slopes = inner[: n + 1]
+        profiles = torch.stack((tau, torch.cat((wall.vapour[None], vapour))), 1)
+        inner = (self._inside_operator @ profiles.flatten(1)).reshape(2 * n + 1, 2, -1)
+        outer = self._outside_operator @ torch.cat((temperature[:1] - 1.0, theta))
+        slopes, laplacians = inner.split_with_sizes((n + 1, n))
+        outer_slope, outer_laplacian = outer.split_with_sizes((m + 1, m))
         k, chi = c.heat_ratio, self.bubbles["chi_gas"]
         source = (k - 1.0) * chi * slopes[0, 0] + k * c.vapour_constant * wall.flux_factor * slopes[0, 1]
         rate = 3.0 / radius * (source / radius - k * pressure * velocity)
         if self.bubbles.leaking:
             rate = rate - pressure * leak(self.bubbles, radius, velocity)
         contents = pressure + self.bubbles["constant_vapour"]
-        head = Head(radius if time is None else time, radius, velocity, contents, rate, state[HEAD + 2 * n + m :])
+        head = Head(radius if time is None else time, radius, velocity, contents, rate, memory)
         return Fields(
             head=head,
             radius=radius,
@@ -166,11 +165,11 @@ class Equations:
             rate=rate,
             temperature=temperature[1:],
             conductivity=conductivity[1:],
-            mixture=c.air_constant + (c.vapour_constant - c.air_constant) * profiles[1:, 1],
+            mixture=c.air_constant + (c.vapour_constant - c.air_constant) * vapour,
             slopes=slopes,
-            laplacians=inner[n + 1 :],
-            outer_slope=outer[: self.m + 1],
-            outer_laplacian=outer[self.m + 1 :],
+            laplacians=laplacians,
+            outer_slope=outer_slope,
+            outer_laplacian=outer_laplacian,
             wall=wall,
         )
 
@@ -199,23 +198,19 @@ class Equations:
 
     def rate(self, f: Fields, wall_acceleration: Tensor | None = None) -> Tensor:
         """``f(x)`` at a state, ``(4+2n+m+K) x B``; ``wall_acceleration`` is ``U'`` where it is known already."""
-        b, n, m = self.bubbles, self.n, self.m
-        result = b.numbers.new_empty(self.rows, len(b))
-        result[0], result[2], result[3] = f.velocity, f.rate / f.pressure, self._wall_balance(f)
+        b = self.bubbles
         if wall_acceleration is None:
             wall_acceleration = acceleration(b, f.head)
-        result[1] = wall_acceleration
+        head = torch.stack((f.velocity, wall_acceleration, f.rate / f.pressure, self._wall_balance(f)))
         drift, _ = self.drift(f)
         capacity, mixing, warming = self.diffusion(f)
         heat, vapour = f.slopes[1:].unbind(1)
+        heat_bend, vapour_bend = f.laplacians.unbind(1)
         square = f.radius**-2
-        result[HEAD : HEAD + n] = (b["chi_gas"] * square * f.laplacians[:, 0] + f.rate) * capacity - drift * heat
-        diffusion = f.laplacians[:, 1] - vapour * (2.0 * mixing + warming)
-        result[HEAD + n : HEAD + 2 * n] = b["fom"] * square * diffusion - drift * vapour
-        result[HEAD + 2 * n : HEAD + 2 * n + m] = self._gel_rate(f)
-        if self.memory:
-            result[HEAD + 2 * n + m :] = gel_memory_rate(b, f.head)
-        return result
+        warmer = (b["chi_gas"] * square * heat_bend + f.rate) * capacity - drift * heat
+        wetter = b["fom"] * square * (vapour_bend - vapour * (2.0 * mixing + warming)) - drift * vapour
+        parts = (head, warmer, wetter, self._gel_rate(f))
+        return torch.cat((*parts, gel_memory_rate(b, f.head)) if self.memory else parts)
 
     def _gel_rate(self, f: Fields) -> Tensor:
         """Conduction, advection and viscous heating in the gel, ``m x B``."""

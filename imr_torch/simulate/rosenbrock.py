@@ -108,7 +108,7 @@ def rosenbrock_step(
     inside, outside = equations.inside.first, equations.outside.first
     shift = 1.0 / (tableau.gamma * step)
     factors = Factors(jacobian, shift, inside[1:, 1:], inside[0, 1:], outside[0, 1:])
-    inverse_step = (1.0 / step).repeat(4, 1)
+    inverse_step = (1.0 / step).repeat(equations.rows, 1)
     inverse_step[3] = 0.0  # tau_w is algebraic
     increments = state.new_empty(len(tableau.stages) + 1, *state.shape)
     right = equations.rate(fields, acceleration)
@@ -118,11 +118,10 @@ def rosenbrock_step(
     argument = state
     for i, weights in enumerate(zip(tableau.stages, tableau.coupling, strict=True), start=1):
         rows = torch.tensor(weights, dtype=state.dtype, device=state.device)
-        offset, right = (rows @ increments[:i].reshape(i, -1)).reshape(2, *state.shape)
+        offset, coupling = (rows @ increments[:i].flatten(1)).reshape(2, *state.shape)
         argument = state + offset
-        right[:4] *= inverse_step
-        right[4:] *= inverse_step[0]
-        right += equations.rate(equations.fields(argument, moment + moments[i] * step if driven else None))
+        right = equations.rate(equations.fields(argument, moment + moments[i] * step if driven else None))
+        right.addcmul_(coupling, inverse_step)
         if driven:
             right[1] += jacobian.velocity_time * step * increments_of_time[i]
         increments[i] = factors.solve(right)
