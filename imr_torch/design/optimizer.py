@@ -126,6 +126,7 @@ class DesignOptimizer:
             return self.space.settle(points[:, 0])[done:]
         with manual_seed(child(self.seed, "ask", done)), warnings.catch_warnings():
             warnings.simplefilter("ignore", NumericsWarning)
+            warnings.filterwarnings("ignore", "Optimization failed in", RuntimeWarning)  # BoTorch tries again
             return self._maximise(self._acquisition(waiting), q, avoid=waiting)
 
     def tell(self, X: Tensor, Y: Tensor, Yvar: Tensor) -> None:
