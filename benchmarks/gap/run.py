@@ -111,7 +111,7 @@ def _parts(data: SyntheticSet, report: GapReport, simulator: Simulator, seed: in
     """The parts asked for, as far as the report allows them."""
     if extras.baselines:
         yield {"baselines": baselines(report, report.line, data.offered, simulator, seed=child(seed, "baselines"))}
-    if not (report.gap.found and report.null.certificate.converged):
+    if not report.found:
         return
     if extras.onset and data.truth:
         yield _onset(report, simulator, seed)

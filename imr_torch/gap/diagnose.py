@@ -28,6 +28,7 @@ Starts = Mapping[str, Sequence[Sequence[float]]]
 """Name of an effect -> values to start it from."""
 
 _SURE = 0.8  # probability of one family at which a cause is named alone
+_DOUBT = 0.2  # probability of the base model alone above which no cause is named; from a half on there is no gap
 _SET = 0.95  # probability that the effects of a class reach together
 _LARGEST_CLASS = 3  # effects of different families that still make a verdict
 _STEPS = 600  # of a polytropic bubble: thrice what the gels of a fit take
@@ -63,6 +64,11 @@ class GapReport:
     cause: tuple[str, ...]
     seconds: float
     reason: str = field(default="")
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a gap: the test says so, of a sound fit, and the evidence of the causes does not take it back."""
+        return self.gap.found and self.null.certificate.converged and self.verdict != "none"
 
     @property
     def converged(self) -> bool:
@@ -197,6 +203,8 @@ def _select(offer: _Offer, null: ModelFit, left: Adequacy, most: int) -> _Findin
         gained = found.log_evidence[found.winner] - found.log_evidence[Hypothesis(offer.base, chosen).name]
         if chosen and gained < _FURTHER:
             break
+        if first is None and found.posterior["none"] >= 0.5:
+            return _taken_back(found, left.test)
         first = first or found
         chosen = (*chosen, next(e for e in offer.effects if e.name == found.winner.split("+")[-1]))
         fit, starts, test = found.fits[found.winner], found.next_starts, found.adequacy
@@ -209,6 +217,15 @@ def _select(offer: _Offer, null: ModelFit, left: Adequacy, most: int) -> _Findin
     return _Finding("other", (), reason, first, test.p_value)
 
 
+def _taken_back(found: Attribution, test: GapTest) -> _Finding:
+    """No gap after all: the test rejects by chance now and then, and then no effect explains much."""
+    reason = (
+        f"A test rejects the base model (p = {test.p_value:.2g}), but no effect of the library explains enough: the base model "
+        f"alone keeps a probability of {found.posterior['none']:.2f}."
+    )
+    return _Finding("none", (), reason, found)
+
+
 def _name(chosen: tuple[Effect, ...], found: Attribution, families: Mapping[str, str]) -> _Finding:
     """An adequate cause: alone if it is sure, else the class of those that the data do not tell apart."""
     before, adequacy = tuple(effect.name for effect in chosen[:-1]), found.adequacy.p_value
@@ -218,6 +235,10 @@ def _name(chosen: tuple[Effect, ...], found: Attribution, families: Mapping[str,
     total = sum(known.values())
     share = {name.split("+")[-1]: p / total for name, p in sorted(known.items(), key=lambda item: -item[1])}
     family = {name: p for name, p in share.items() if families[name] == chosen[-1].family}
+    doubt = found.posterior["none"] if not before else 0.0
+    if doubt > _DOUBT:
+        reason = f"The base model alone keeps a probability of {doubt:.2f}: too much to name a cause."
+        return _Finding("undecided", tuple(family), reason, found, adequacy)
     if sum(family.values()) >= _SURE:
         same = tuple(name for name, p in family.items() if p > 0.05)
         verdict = "effect" if len(same) == 1 else "class"

@@ -62,7 +62,7 @@ def examine(
         seed: of calibrations and searches.
         progress: called with one line per step.
     """
-    if not (report.gap.found and report.null.certificate.converged):
+    if not report.found:
         return Parts()
     fit, batch, line, directions = report.null, report.batch, report.line, report.directions
     if progress:

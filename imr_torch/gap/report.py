@@ -80,7 +80,7 @@ def _gap(report: GapReport) -> tuple[str, ...]:
     test = report.gap
     if not report.null.certificate.converged:
         return ("No verdict: the base model's fit did not converge, and an unconverged fit looks exactly like a gap.",)
-    found = "Yes" if test.found else "None that shows"
+    found = "Yes" if report.found else "A hint, no more" if test.found else "None that shows"
     lines = [
         f"{found}: {_p(test.p_value)}, of the smallest of {len(test.blocks)} directed tests, calibrated with data drawn "
         "under the fitted base model.",
@@ -154,7 +154,7 @@ def _where(report: GapReport, parts: Parts) -> tuple[str, ...]:
 def _unlocated(report: GapReport) -> str:
     if not report.null.certificate.converged:
         return "Not looked for, because the base model's fit did not converge."
-    return "Not run." if report.gap.found else "There is nothing to locate."
+    return "Not run." if report.found else "There is nothing to locate."
 
 
 def _causes(report: GapReport) -> tuple[str, ...]:
@@ -257,9 +257,9 @@ def _refusals(report: GapReport, parts: Parts) -> tuple[str, ...]:
         lines.append("That the model is right: effects listed as probably missed may be there.")
     if report.attribution is not None:
         lines.append("Anything about effects that were not offered, but for their sum under 'other'.")
-        if parts.shrinkage is None:
-            lines.append("How far the gap shrinks on new designs: no shrinkage on held-out designs was computed.")
-    if report.attribution is not None and parts.onset is None:
+    if report.found and parts.shrinkage is None:
+        lines.append("How far the gap shrinks on new designs: no shrinkage on held-out designs was computed.")
+    if report.found and parts.onset is None:
         lines.append("When the gap begins: the location was not run.")
     return tuple(lines)
 
@@ -285,7 +285,7 @@ def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
     parts = parts or Parts()
     found, when, judged, ahead = report.attribution, parts.onset, parts.shrinkage, parts.next_design
     return {
-        "gap": report.gap.found and report.null.certificate.converged,
+        "gap": report.found,
         "p_gap": report.gap.p_value,
         "bias_sigma": report.gap.bias_sigma,
         "onset_t": None if when is None or when.phase == "none" else when.time,
