@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Experiment, Nuisance
@@ -12,6 +13,9 @@ from imr_torch.units import Surroundings
 
 NUISANCE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
 """How well a careful laboratory knows Rmax, time zero and R_inf of each experiment."""
+
+_LARGEST = 2.0  # radius over Rmax
+_DURATIONS = (0.1, 1e3)  # of a record, in t*
 
 _SHAPES = {"time_s": 2, "radius_m": 3, "we": 1, "rinf_star": 1}
 
@@ -26,7 +30,8 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
         surroundings: the liquid side; water at 1 atm by default.
 
     Raises:
-        InputDataError: for a file that is no set, a missing array, shapes that do not fit, or a design without a finite frame.
+        InputDataError: for a file that is no set, a missing array, shapes that do not fit, a radius or a duration that no
+            bubble of its design has, or a design without a finite frame.
     """
     outer = surroundings or Surroundings()
     arrays = _arrays(Path(path))
@@ -48,8 +53,24 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
             raise InputDataError(
                 f"{path}: design {i} has {int(seen.sum())} frames that all repeats saw; at least 2 are needed."
             )
+        _check_units(f"{path}: design {i}", radius[:, seen] * size, times[seen] * outer.time_scale(size), size, outer)
         experiments.append(Experiment(f"design {i}", (float(weber), float(rest)), times[seen], radius[:, seen], nuisance))
     return experiments
+
+
+def _check_units(where: str, radius: Tensor, times: Tensor, size: float, outer: Surroundings) -> None:
+    """Refuse radii (m) and times (s) that no bubble of maximum radius ``size`` has: most are in another unit."""
+    wrong = radius[(radius <= 0.0) | (radius > _LARGEST * size)]
+    if len(wrong):
+        raise InputDataError(
+            f"{where}: radius_m holds {float(wrong[0]):g}; expected metres, above 0 and not far above Rmax = {size:.3g} m, which "
+            "follows from we. Mark missing frames by NaN."
+        )
+    shortest, longest = (limit * outer.time_scale(size) for limit in _DURATIONS)
+    if not shortest <= (last := float(times[-1])) <= longest:
+        raise InputDataError(
+            f"{where}: time_s ends at {last:g}; expected seconds from the maximum radius on, {shortest:.2g} to {longest:.2g}."
+        )
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:

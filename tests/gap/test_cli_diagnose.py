@@ -74,6 +74,9 @@ def broken(tmp_path, matched) -> dict[str, Path]:
         "frames": {"time_s": good["time_s"][:, 1:]},
         "empty": {"radius_m": np.full_like(good["radius_m"], np.nan)},
         "negative": {"we": -good["we"]},
+        "hole": {"radius_m": np.where(np.arange(53) == 3, -1.0, good["radius_m"])},
+        "millimetres": {"radius_m": 1e3 * good["radius_m"]},
+        "microseconds": {"time_s": 1e6 * good["time_s"]},
         "words": {"we": np.array(["a", "b"])},
     }
     files = {"good": matched, "text": tmp_path / "text.npz", "csv": tmp_path / "curve.csv"}
@@ -97,6 +100,9 @@ def broken(tmp_path, matched) -> dict[str, Path]:
         (["{frames}"], "radius_m has 53 frames, time_s 52"),
         (["{empty}"], "design 0 has 0 frames that all repeats saw; at least 2 are needed"),
         (["{negative}"], "expected We > 0"),
+        (["{hole}"], "design 0: radius_m holds -1; expected metres, above 0"),
+        (["{millimetres}"], r"radius_m holds 0\.\d+; expected metres, above 0 and not far above Rmax"),
+        (["{microseconds}"], r"time_s ends at \d+.*; expected seconds"),
         (["{words}"], "cannot be read as .npz arrays of numbers"),
         (["{good}", "{csv}"], "cannot be mixed"),
         (["{good}", "--base", "maxwell9"], "--base: unknown model 'maxwell9'; known are newtonian, nhe, nhkv"),
