@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Experiment, Nuisance
@@ -53,23 +52,25 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
             raise InputDataError(
                 f"{path}: design {i} has {int(seen.sum())} frames that all repeats saw; at least 2 are needed."
             )
-        _check_units(f"{path}: design {i}", radius[:, seen] * size, times[seen] * outer.time_scale(size), size, outer)
         experiments.append(Experiment(f"design {i}", (float(weber), float(rest)), times[seen], radius[:, seen], nuisance))
+        _check_units(f"{path}: design {i}", experiments[-1], size, outer.time_scale(size))
     return experiments
 
 
-def _check_units(where: str, radius: Tensor, times: Tensor, size: float, outer: Surroundings) -> None:
-    """Refuse radii (m) and times (s) that no bubble of maximum radius ``size`` has: most are in another unit."""
-    wrong = radius[(radius <= 0.0) | (radius > _LARGEST * size)]
+def _check_units(where: str, experiment: Experiment, size: float, unit: float) -> None:
+    """Refuse radii and times that no bubble has: most are in another unit than ``size`` (m) and ``unit`` (s) say."""
+    radius, last = experiment.radius, float(experiment.times[-1])
+    wrong = radius[(radius <= 0.0) | (radius > _LARGEST)]
     if len(wrong):
         raise InputDataError(
-            f"{where}: radius_m holds {float(wrong[0]):g}; expected metres, above 0 and not far above Rmax = {size:.3g} m, which "
-            "follows from we. Mark missing frames by NaN."
+            f"{where}: radius_m holds {float(wrong[0]) * size:g}; expected metres, above 0 and not far above Rmax, {size:.3g} m "
+            "by its we. Mark missing frames by NaN."
         )
-    shortest, longest = (limit * outer.time_scale(size) for limit in _DURATIONS)
-    if not shortest <= (last := float(times[-1])) <= longest:
+    shortest, longest = _DURATIONS
+    if not shortest <= last <= longest:
         raise InputDataError(
-            f"{where}: time_s ends at {last:g}; expected seconds from the maximum radius on, {shortest:.2g} to {longest:.2g}."
+            f"{where}: time_s ends at {last * unit:g}; expected seconds from the maximum radius on, {shortest * unit:.2g} to "
+            f"{longest * unit:.2g} of them."
         )
 
 
