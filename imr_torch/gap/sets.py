@@ -63,8 +63,8 @@ def _check_units(where: str, experiment: Experiment, size: float, unit: float) -
     wrong = radius[(radius <= 0.0) | (radius > _LARGEST)]
     if len(wrong):
         raise InputDataError(
-            f"{where}: radius_m holds {float(wrong[0]) * size:g}; expected metres, above 0 and not far above Rmax, {size:.3g} m "
-            "by its we. Mark missing frames by NaN."
+            f"{where}: radius_m holds {float(wrong[0]) * size:g}; expected metres, above 0 and not far above Rmax, {size:.3g} "
+            "m by its we. Mark missing frames by NaN."
         )
     shortest, longest = _DURATIONS
     if not shortest <= last <= longest:
