@@ -50,7 +50,7 @@ def refitted_directions(
     left = line.project(rows).norm(dim=1)
     farthest = torch.full((line.fitted.shape[1],), _FARTHEST_NUISANCE, dtype=torch.float64)
     farthest[: len(fit.mean)] = _FARTHEST_GEL
-    under_way = torch.arange(len(rows))
+    under_way = torch.nonzero(left > 0.0)[:, 0]  # a start that failed would only fail again, slowly
     for _ in range(_ROUNDS):
         shift = rows[under_way] @ line.to_shift.mT
         near = (shift.abs() <= farthest).all(1)

@@ -13,7 +13,7 @@ from imr_torch.units import Surroundings
 NUISANCE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
 """How well a careful laboratory knows Rmax, time zero and R_inf of each experiment."""
 
-_LARGEST = 2.0  # radius over Rmax
+_RADII = (-0.2, 2.0)  # over Rmax; noise alone makes a collapsed bubble's radius negative
 _DURATIONS = (0.1, 1e3)  # of a record, in t*
 
 _SHAPES = {"time_s": 2, "radius_m": 3, "we": 1, "rinf_star": 1}
@@ -60,11 +60,11 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
 def _check_units(where: str, experiment: Experiment, size: float, unit: float) -> None:
     """Refuse radii and times that no bubble has: most are in another unit than ``size`` (m) and ``unit`` (s) say."""
     radius, last = experiment.radius, float(experiment.times[-1])
-    wrong = radius[(radius <= 0.0) | (radius > _LARGEST)]
+    wrong = radius[(radius < _RADII[0]) | (radius > _RADII[1])]
     if len(wrong):
         raise InputDataError(
-            f"{where}: radius_m holds {float(wrong[0]) * size:g}; expected metres, above 0 and not far above Rmax, {size:.3g} "
-            "m by its we. Mark missing frames by NaN."
+            f"{where}: radius_m holds {float(wrong[0]) * size:g}; expected metres, from about 0 to not far above Rmax, "
+            f"{size:.3g} m by its we. Mark missing frames by NaN."
         )
     shortest, longest = _DURATIONS
     if not shortest <= last <= longest:
