@@ -33,6 +33,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.random import child
 from imr_torch.types import Progress
 
+_LEAST_NOISE = 2e-6  # variance over that of the told values: below 1e-6 GPyTorch rounds up, and warns
 _SMALLEST_VARIANCE = 1e-8  # nats^2: draws may agree exactly, and a known noise of 0 is no noise model
 _SCATTERED = 64  # achieved designs that stand for the scatter about one that was asked for
 _RESTARTS, _RAW = 8, 128
@@ -196,7 +197,7 @@ class DesignOptimizer:
             gp = SingleTaskGP(
                 self.train_X,
                 value,
-                variance,
+                variance.clamp_min(_LEAST_NOISE * float(value.var())),
                 covar_module=get_matern_kernel_with_gamma_prior(2),  # without a prior, a flat axis has no length scale
                 input_transform=transform,
                 outcome_transform=Standardize(m=1),

@@ -1,4 +1,5 @@
 import math
+import warnings
 from dataclasses import replace
 
 import pytest
@@ -54,6 +55,13 @@ def test_the_recommendation_finds_the_maximum_of_a_noisy_utility(policy):
     best = run(policy, 12).recommend()
     assert float(utility(best.design[None])) > 4.9
     assert abs(best.mean - float(utility(best.design[None]))) < 5.0 * best.sd + 0.02
+
+
+def test_a_utility_known_almost_exactly_is_fitted_without_a_word():
+    optimizer = told(SPACE, utility, points=grid(5, 5), sd=1e-5)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "Very small noise")
+        optimizer.model()
 
 
 def test_the_recommendation_is_not_the_best_noisy_value():
