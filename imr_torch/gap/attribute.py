@@ -33,6 +33,7 @@ ADEQUATE = 0.05
 chance once in twenty. In the sets tried, two of four adequate wrong winners lay between .01 and here, one of 39 right ones."""
 
 _MASKED = 0.35  # chance that some effect of the library is adequate although the true one is not in it
+_LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
 _FIT = EnsembleOptions(starts=2, iterations=30, spread=SPREAD, hopeless=6.0)
 
 
@@ -108,6 +109,49 @@ def attribute(
     left = adequacy_test(fits[winner], effects, batch, simulator, seed=child(seed, "adequacy"))
     posterior, families = _weigh(evidence, effects, tuple(with_), left.test.p_value)
     return Attribution(fits, evidence, posterior, families, winner, left.test, left.starts)
+
+
+def reconsider(
+    found: Attribution,
+    effect: Effect,
+    beside: ModelFit,
+    base: ModelBelief,
+    effects: Sequence[Effect],
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+) -> Attribution:
+    """The attribution of a first effect again, once another was found beside its winner: is that one better alone?
+
+    One with several minima (the moment of a pulse) may be found only where another effect has taken the most.
+
+    Args:
+        found: the attribution of the first effect.
+        effect: the one found beside it.
+        beside: the fit of both.
+        base: the base model's prior.
+        effects: the library to choose from.
+        batch: the data.
+        simulator: makes the bubbles.
+        seed: of the fit and of the adequacy test.
+
+    Returns:
+        ``found`` itself unless the effect alone explains more than its winner.
+    """
+    places = map(beside.prior.names.index, effect.names)
+    amplitude, *shape = (float(beside.prior.marginals[i].to_physical(beside.mean[i])) for i in places)
+    starts = {effect.name: [(amplitude, *shape), (_LESS * amplitude, *shape)]}
+    alone = Hypothesis(base, (effect,))
+    fit = fit_hypotheses([alone], beside, batch, simulator, seed=seed, starts=starts, options=_FIT)[alone.name]
+    if laplace_evidence(fit) <= found.log_evidence[found.winner]:
+        return found
+    if not fit.certificate.converged:
+        fit = finish(fit, batch, simulator, seed=child(seed, "finish"))
+    evidence = found.log_evidence | {alone.name: laplace_evidence(fit)}
+    left = adequacy_test(fit, effects, batch, simulator, seed=child(seed, "adequacy"))
+    posterior, families = _weigh(evidence, effects, (), left.test.p_value)
+    return Attribution(found.fits | {alone.name: fit}, evidence, posterior, families, alone.name, left.test, left.starts)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
-from imr_torch.gap.attribute import ADEQUATE, Adequacy, Attribution, adequacy_test, attribute
+from imr_torch.gap.attribute import ADEQUATE, Adequacy, Attribution, adequacy_test, attribute, reconsider
 from imr_torch.gap.effects import LIBRARY, Effect, library
 from imr_torch.gap.hypotheses import Hypothesis, fit_null, laplace_evidence
 from imr_torch.gap.linear import Linearisation
@@ -192,6 +192,11 @@ class _Offer:
             progress=self.progress,
         )
 
+    def reconsider(self, first: Attribution, effect: Effect, beside: ModelFit) -> Attribution:
+        """The attribution of a first effect, with one that was found beside its winner taken alone."""
+        seed = child(self.seed, "reconsider")
+        return reconsider(first, effect, beside, self.base, self.effects, self.batch, self.simulator, seed=seed)
+
 
 def _select(offer: _Offer, null: ModelFit, left: Adequacy, most: int) -> _Finding:
     """Select effects one after the other until they are adequate; name them, their class, or nobody."""
@@ -205,11 +210,15 @@ def _select(offer: _Offer, null: ModelFit, left: Adequacy, most: int) -> _Findin
             break
         if first is None and found.posterior["none"] >= 0.5:
             return _taken_back(found, left.test)
-        first = first or found
+        families = {effect.name: effect.family for effect in offer.effects}
+        first, further = first or found, bool(chosen)
         chosen = (*chosen, next(e for e in offer.effects if e.name == found.winner.split("+")[-1]))
         fit, starts, test = found.fits[found.winner], found.next_starts, found.adequacy
-        if test.p_value >= ADEQUATE:
-            return _name(chosen, found, {effect.name: effect.family for effect in offer.effects})
+        if test.p_value < ADEQUATE:
+            continue
+        if further and (alone := offer.reconsider(first, chosen[-1], fit)).adequacy.p_value >= ADEQUATE:
+            return _name(chosen[-1:], alone, families)
+        return _name(chosen, found, families)
     assert first is not None
     nearest = " and ".join(effect.name for effect in chosen)
     explained = f"{laplace_evidence(fit) - laplace_evidence(null):.0f} nats, adequacy p = {test.p_value:.2g}"

@@ -6,10 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from imr_torch.assimilate import EnsembleOptions
-from imr_torch.gap.attribute import PRIOR_NONE, PRIOR_OTHER, Attribution, _weigh, attribute
+from imr_torch.gap.attribute import PRIOR_NONE, PRIOR_OTHER, Attribution, _weigh, attribute, reconsider
 from imr_torch.gap.diagnose import impatient
 from imr_torch.gap.effects import LIBRARY, library
-from imr_torch.gap.hypotheses import laplace_evidence
+from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator
 from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 
@@ -72,6 +72,19 @@ def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch)
     assert found.fits["gas_loss"].certificate.converged
     assert not found.fits["surface_tension"].certificate.converged
     assert found.log_evidence["gas_loss"] == pytest.approx(laplace_evidence(found.fits["gas_loss"]))
+
+
+def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_more() -> None:
+    batch = shoot({"gas_loss": 0.2})
+    null = fit(batch)
+    wrong, right = LIBRARY["wall"], LIBRARY["gas_loss"]
+    first = attribute(BASE, (wrong,), null, {}, batch, SIMULATOR, seed=0)
+    both = fit_hypotheses([Hypothesis(BASE, (wrong, right))], first.fits["wall"], batch, SIMULATOR, seed=0)["wall+gas_loss"]
+    again = reconsider(first, right, both, BASE, (wrong, right), batch, SIMULATOR, seed=0)
+    assert again.winner == "gas_loss"
+    assert again.fits["gas_loss"].certificate.converged
+    assert again.posterior["gas_loss"] > 0.9
+    assert reconsider(again, wrong, both, BASE, (wrong, right), batch, SIMULATOR, seed=0) is again
 
 
 def test_that_few_steps_of_polytropic_bubbles_are_taken_by_workers_too() -> None:

@@ -62,3 +62,16 @@ def test_that_the_evidence_takes_a_gap_back_that_no_effect_explains(
     finding = module._select(offer, None, left, 2)
     assert finding.verdict == verdict
     assert ("keeps a probability of 0.60" in finding.reason) == (verdict == "none")
+
+
+@pytest.mark.parametrize(("p_alone", "cause"), [(0.4, ("wall",)), (0.01, ("gas_loss", "wall"))])
+def test_that_a_second_effect_that_is_enough_alone_is_named_alone(monkeypatch, p_alone: float, cause: tuple[str, ...]) -> None:
+    first = attribution({"gas_loss": 1.0, "none": 0.0, "other": 0.0}, "gas_loss", p_adequate=1e-6)
+    both = attribution({"gas_loss+wall": 0.96, "none": 0.0, "other": 0.04}, "gas_loss+wall")
+    both.log_evidence.update({"gas_loss": 0.0, "gas_loss+wall": 20.0})
+    alone = attribution({"wall": 0.96, "none": 0.0, "other": 0.04}, "wall", p_adequate=p_alone)
+    offer = module._Offer(BASE, EFFECTS, None, None, 0, None)
+    monkeypatch.setattr(module._Offer, "attribute", lambda _, chosen, *__: both if chosen else first)
+    monkeypatch.setattr(module._Offer, "reconsider", lambda *_: alone)
+    finding = module._select(offer, None, SimpleNamespace(test=SimpleNamespace(p_value=0.0), starts={}), 2)
+    assert (finding.verdict, finding.cause) == ("effect", cause)
