@@ -254,8 +254,7 @@ class Search:
         """Costs, ensemble sensitivities and gradients at the current points, each in the bundle of its leader."""
         unknown = torch.tensor([chain for chain in chains.tolist() if chain not in self.around], dtype=torch.long)
         if unknown.numel():
-            made = self._neighbourhoods(unknown, self.gel[unknown, None], self.nuisances[unknown, None])
-            self._keep(unknown, made[:, 0])
+            self._look_around(unknown)
         kept = [self.around[chain] for chain in chains.tolist()]
         anomalies, prediction = (torch.stack(parts) for parts in zip(*kept, strict=True))
         gel, nuisances = self.gel[chains], self.nuisances[chains]
@@ -266,6 +265,16 @@ class Search:
         if not bool(bluntly.any()):
             return whole
         return _where(bluntly, equations_at(self._blunt.batch, gel, nuisances, anomalies, self._blunt.seen(prediction)), whole)
+
+    def _look_around(self, chains: Tensor) -> None:
+        """Simulate the neighbourhoods of chains; one whose bubbles cannot follow its leader's goes without."""
+        gel, nuisances = self.gel[chains, None], self.nuisances[chains, None]
+        made = self._neighbourhoods(chains, gel, nuisances)
+        self._keep(chains, made[:, 0])
+        lost = torch.isinf(joint_cost(self.batch, gel, nuisances, made[:, :, 0]))[:, 0] & self.led[chains]
+        if bool(lost.any()):
+            self.led[chains[lost]] = False
+            self._look_around(chains[lost])
 
     def _aim(self, chains: Tensor, gel: Tensor, nuisances: Tensor, prediction: Tensor) -> tuple[Tensor, Tensor]:
         """What chains lower, and the cost; leading shape ``C x P``."""

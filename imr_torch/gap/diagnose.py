@@ -31,7 +31,7 @@ _SURE = 0.8  # probability of one family at which a cause is named alone
 _DOUBT = 0.2  # probability of the base model alone above which no cause is named; from a half on there is no gap
 _SET = 0.95  # probability that the effects of a class reach together
 _LARGEST_CLASS = 3  # effects of different families that still make a verdict
-_STEPS = 600  # of a polytropic bubble: thrice what the gels of a fit take
+_STEPS = 1500  # of a polytropic bubble: a relaxation time of .7 us takes 700, most gels 200
 _FURTHER = 3.0  # nats that a further effect must explain
 
 

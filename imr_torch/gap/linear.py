@@ -116,7 +116,7 @@ def linearise(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Li
     prediction = predict(simulator, parameters[None], batch, shifts[None], bundled=True)[0]
     prediction = torch.where(batch.mask, prediction, 0.0)
     sd = batch.sd(prediction[0])
-    slopes = batch.whiten((prediction[1:] - prediction[0]) / _STEP, sd)  # k x E x T
+    slopes = batch.whiten((prediction[1:] - prediction[0]) / _STEP, sd).nan_to_num()  # k x E x T; what failed tells nothing
     by_gel = slopes[:size].flatten(1).mT
     own = torch.eye(experiments, dtype=torch.float64)[:, :, None] * slopes[size:, None]  # C x E x E x T
     by_nuisance = own.flatten(0, 1).flatten(1).mT

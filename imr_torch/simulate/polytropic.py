@@ -58,15 +58,26 @@ class PolytropicSimulator:
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
         stepping = self.stepping
         results = _march(bubbles, times, stepping)
+        late = (results[3] == Status.TOO_MANY_STEPS) & (_leaders(results[3], width) == Status.DONE)
+        if bool(late.any()):  # followers that needed a little longer than their leader
+            results = _again(results, bubbles, times, replace(stepping, max_steps=2 * stepping.max_steps), late)
         for _ in range(stepping.retries):
             status = _leaders(results[3], width)
-            failed = torch.nonzero((status != Status.DONE) & (status != Status.TOO_MANY_STEPS))[:, 0]
-            if failed.numel() == 0:
+            failed = (status != Status.DONE) & (status != Status.TOO_MANY_STEPS)
+            if not bool(failed.any()):
                 break
             stepping = replace(stepping, step=0.5 * stepping.step)
-            again = _march(bubbles.take(failed), times[failed], stepping)
-            results = tuple(old.index_copy(0, failed, new) for old, new in zip(results, again, strict=True))
+            results = _again(results, bubbles, times, stepping, failed)
         return *results[:3], _leaders(results[3], width), results[4]
+
+
+def _again(
+    results: tuple[Tensor, ...], bubbles: Bubbles, times: Tensor, stepping: Stepping, members: Tensor
+) -> tuple[Tensor, ...]:
+    """The results of a batch, with some members (boolean, ``B``) integrated anew."""
+    chosen = torch.nonzero(members)[:, 0]
+    again = _march(bubbles.take(chosen), times[chosen], stepping)
+    return tuple(old.index_copy(0, chosen, new) for old, new in zip(results, again, strict=True))
 
 
 def _leaders(status: Tensor, width: int) -> Tensor:

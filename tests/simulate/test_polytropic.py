@@ -308,3 +308,17 @@ def test_that_bad_input_is_named(parameters: Tensor, designs: Tensor, times: Ten
 def test_that_bad_options_are_named(call: Callable[[], object], message: str) -> None:
     with pytest.raises(InputDataError, match=message):
         call()
+
+
+def test_a_follower_that_needs_a_little_longer_than_its_leader_gets_there():
+    gel = PARAMETERS.pack({"G": 8e3, "mu": 0.08}).expand(2, -1)
+    designs = torch.tensor([[400.0, 0.2]], dtype=torch.float64).expand(2, -1)
+    times = torch.linspace(0.0, 2.0, 21, dtype=torch.float64) * torch.tensor([[1.0], [1.4]], dtype=torch.float64)
+    alone = PolytropicSimulator()(gel, designs, times)
+    enough = int(alone.steps[0])
+    assert int(alone.steps[1]) > enough
+    hasty = PolytropicSimulator(stepping=replace(Stepping(), max_steps=enough))
+    made = hasty.bundle(gel, designs, times)
+    assert bool(made.ok.all())
+    assert torch.equal(made.radius, alone.radius)
+    assert not bool(hasty(gel, designs, times).ok[1])  # without a leader it is given up
