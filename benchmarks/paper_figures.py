@@ -19,6 +19,7 @@ import matplotlib.pyplot as plt
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from paper_campaigns import PLAN, POLICIES, SEARCH, SIMULATOR, WITHIN, Row, read, study
 
 from imr_torch.assimilate import PublishedFit, assimilate_published
@@ -265,6 +266,7 @@ def sequence(folder: Path, mode: str = "exact") -> None:
                     drawn = _line(ax, seeds, value, COLORS[policy], f"{policy}, {len(seeds)} seeds")
                     document[f"{case.key} | {policy} | {name}"] = drawn
                 ax.set(xlabel="designs", title=f"{case.key}: {name}")
+                ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         for ax in row[2:]:
             ax.set_yscale("log")
             ax.axhline(WITHIN, color="0.5", ls=":")
@@ -292,6 +294,7 @@ def trajectory(folder: Path, mode: str = "exact") -> None:
             document[f"{case.key} | {policy} | entropy"] = drawn
         row[0].set(xlabel="We", ylabel="R_inf*", title=f"{case.key}: optimal designs", xlim=(80, 1020), ylim=(0.135, 0.305))
         row[1].set(xlabel="designs", ylabel="entropy of the belief (nats, SI)", title=case.key)
+        row[1].xaxis.set_major_locator(MaxNLocator(integer=True))
         for ax in row:
             if ax.get_legend_handles_labels()[0]:
                 ax.legend(fontsize=7)
