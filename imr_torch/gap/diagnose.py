@@ -45,7 +45,7 @@ class GapReport:
         gap: the gap test at that fit.
         line: that fit's neighbourhood.
         directions: what each effect changes there, whitened: name -> ``S x N``.
-        attribution: causes, if there is a gap: of the last effect selected if all are enough together, else of the first.
+        attribution: causes, if the test finds a gap: of the last effect selected if all are enough together, else of the first.
         adequacy_p: of all effects that were selected together; None where none was.
         verdict: ``"none"``, ``"effect"``, ``"class"``, ``"other"`` or ``"undecided"``.
         cause: names of the effects that the verdict names.
@@ -203,6 +203,7 @@ def _select(offer: _Offer, null: ModelFit, left: Adequacy, most: int) -> _Findin
     chosen: tuple[Effect, ...] = ()
     fit, test, starts = null, left.test, left.starts
     first: Attribution | None = None
+    families = {effect.name: effect.family for effect in offer.effects}
     while len(chosen) < min(most, len(offer.effects)):
         found = offer.attribute(chosen, fit, starts)
         gained = found.log_evidence[found.winner] - found.log_evidence[Hypothesis(offer.base, chosen).name]
@@ -210,7 +211,6 @@ def _select(offer: _Offer, null: ModelFit, left: Adequacy, most: int) -> _Findin
             break
         if first is None and found.posterior["none"] >= 0.5:
             return _taken_back(found, left.test)
-        families = {effect.name: effect.family for effect in offer.effects}
         first, further = first or found, bool(chosen)
         chosen = (*chosen, next(e for e in offer.effects if e.name == found.winner.split("+")[-1]))
         fit, starts, test = found.fits[found.winner], found.next_starts, found.adequacy
