@@ -233,7 +233,9 @@ class Search:
 
     def iterate(self) -> None:
         """One Gauss-Newton iteration of the chains that are not finished."""
-        chains = torch.nonzero(~self.finished)[:, 0]
+        chains = self._explore(torch.nonzero(~self.finished)[:, 0])
+        if not chains.numel():
+            return
         equations = self._linearise(chains)
         arrived = self.bluntly[chains] & (equations.whitened_gradient < NEAR)
         if bool(arrived.any()):
@@ -252,9 +254,6 @@ class Search:
 
     def _linearise(self, chains: Tensor) -> NormalEquations:
         """Costs, ensemble sensitivities and gradients at the current points, each in the bundle of its leader."""
-        unknown = torch.tensor([chain for chain in chains.tolist() if chain not in self.around], dtype=torch.long)
-        if unknown.numel():
-            self._look_around(unknown)
         kept = [self.around[chain] for chain in chains.tolist()]
         anomalies, prediction = (torch.stack(parts) for parts in zip(*kept, strict=True))
         gel, nuisances = self.gel[chains], self.nuisances[chains]
@@ -265,6 +264,19 @@ class Search:
         if not bool(bluntly.any()):
             return whole
         return _where(bluntly, equations_at(self._blunt.batch, gel, nuisances, anomalies, self._blunt.seen(prediction)), whole)
+
+    def _explore(self, chains: Tensor) -> Tensor:
+        """Simulate what is not known about where chains stand; returns those that can go on.
+
+        Where rounding decides whether a bubble can be simulated at all, one that could may be lost; its chain ends there.
+        """
+        unknown = torch.tensor([chain for chain in chains.tolist() if chain not in self.around], dtype=torch.long)
+        if unknown.numel():
+            self._look_around(unknown)
+        centre = torch.stack([self.around[chain][1][:1] for chain in chains.tolist()])
+        lost = torch.isinf(joint_cost(self.batch, self.gel[chains, None], self.nuisances[chains, None], centre))[:, 0]
+        self.finished[chains[lost]], self.cost[chains[lost]] = True, math.inf
+        return chains[~lost]
 
     def _look_around(self, chains: Tensor) -> None:
         """Simulate the neighbourhoods of chains; one whose bubbles cannot follow its leader's goes without."""
