@@ -399,3 +399,22 @@ def test_that_a_stalled_fit_matters_only_if_it_could_still_be_in_the_running(
     certificate = replace(second.certificate, gradient=gradient, agreement=agreement, converged=False)
     stalled = replace(second, certificate=certificate, cost=first.cost + behind)
     assert replace(result, fits=(first, stalled)).converged is converged
+
+
+class TearingSimulator(LinearSimulator):
+    """Simulates any bubble alone, and none in a bundle whose leader's modulus lies above a limit: what rounding does to some."""
+
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        solution = self(parameters, designs, times)
+        control = (parameters[..., :1, PARAMETERS.index(["G"])[0]] - MEANS["G"]) / SDS["G"]
+        radius = torch.where((control > 1.0)[..., None], torch.nan, solution.radius)
+        return replace(solution, radius=radius)
+
+
+def test_that_a_chain_whose_bubbles_cannot_be_simulated_any_more_ends_and_not_the_search() -> None:
+    belief, batch = prior(("nhkv",)), experiments(3)
+    starts = [tensor((0.3, 0.0), (0.2, 0.1), (1.5, 0.5))]
+    found = assimilate(belief, batch, TearingSimulator(), seed=1, starts=starts).fits[0]
+    truth = exact(belief.models[0], batch)
+    assert found.certificate.converged
+    assert float(((found.mean - truth.mean).abs() / truth.covariance.diagonal().sqrt()).max()) < 0.1
