@@ -28,7 +28,8 @@ Starts = Mapping[str, Sequence[Sequence[float]]]
 """Name of an effect -> values to start it from."""
 
 _SURE = 0.8  # probability of one family at which a cause is named alone
-_DOUBT = 0.2  # probability of the base model alone above which no cause is named; from a half on there is no gap
+_DOUBT = 0.2  # probability of the base model alone above which no cause is named
+_NO_GAP = 0.5  # that from which on there is no gap
 _SET = 0.95  # probability that the effects of a class reach together
 _LARGEST_CLASS = 3  # effects of different families that still make a verdict
 _STEPS = 1500  # of a polytropic bubble: a relaxation time of .7 us takes 700, most gels 200
@@ -209,7 +210,7 @@ def _select(offer: _Offer, null: ModelFit, left: Adequacy, most: int) -> _Findin
         gained = found.log_evidence[found.winner] - found.log_evidence[Hypothesis(offer.base, chosen).name]
         if chosen and gained < _FURTHER:
             break
-        if first is None and found.posterior["none"] >= 0.5:
+        if first is None and found.posterior["none"] >= _NO_GAP:
             return _taken_back(found, left.test)
         first, further = first or found, bool(chosen)
         chosen = (*chosen, next(e for e in offer.effects if e.name == found.winner.split("+")[-1]))
