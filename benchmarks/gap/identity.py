@@ -13,7 +13,7 @@ from benchmarks.gap.sets import SyntheticSet, Task, draw_designs, film, make_pla
 from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError
 from imr_torch.gap import LIBRARY
-from imr_torch.gap.attribute import Attribution, adequacy_test, attribute
+from imr_torch.gap.attribute import Attribution, Inquiry, adequacy_test, attribute
 from imr_torch.gap.hypotheses import fit_null
 from imr_torch.gap.identity_design import identity_design
 from imr_torch.material import wide_prior
@@ -70,4 +70,4 @@ def _causes(experiments: Sequence[Experiment], data: SyntheticSet, simulator: Si
     base, batch = wide_prior(("nhkv",)).models[0], ExperimentBatch(tuple(experiments))
     null = fit_null(base, batch, simulator, seed=child(seed, "null"))
     starts = adequacy_test(null, data.offered, batch, simulator, seed=child(seed, "gap")).starts
-    return attribute(base, data.offered, null, starts, batch, simulator, seed=child(seed, "attribute"))
+    return attribute(Inquiry(base, data.offered, batch, simulator), null, starts, seed=child(seed, "attribute"))

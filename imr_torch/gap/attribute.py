@@ -70,31 +70,48 @@ class Attribution:
         return tuple(names)
 
 
+@dataclass(frozen=True)
+class Inquiry:
+    """What is asked: which of some effects a base model lacks, by some data.
+
+    Args:
+        base: the base model's prior.
+        effects: the library to choose from.
+        batch: the data.
+        simulator: makes the bubbles.
+    """
+
+    base: ModelBelief
+    effects: tuple[Effect, ...]
+    batch: ExperimentBatch
+    simulator: Simulator
+
+    def beside(self, chosen: Sequence[Effect]) -> tuple[Effect, ...]:
+        """The effects that share no parameter with those chosen."""
+        taken = {name for effect in chosen for name in effect.names}
+        return tuple(effect for effect in self.effects if not taken & set(effect.names))
+
+
 def attribute(
-    base: ModelBelief,
-    effects: Sequence[Effect],
+    inquiry: Inquiry,
     null: ModelFit,
     starts: Mapping[str, Sequence[Sequence[float]]],
-    batch: ExperimentBatch,
-    simulator: Simulator,
     *,
     seed: int,
     with_: Sequence[Effect] = (),
     progress: Progress | None = None,
 ) -> Attribution:
-    """Refit the leading effects and weigh them.
+    """Refit the effects and weigh them.
 
     Args:
-        base: the base model's prior.
-        effects: the library to choose from.
+        inquiry: base model, effects and data.
         null: the fit that leaves a gap, from which effects start.
         starts: from which values each effect starts (:func:`imr_torch.gap.score.promising_starts`).
-        batch: the data.
-        simulator: makes the bubbles.
         seed: of the fits and of the adequacy test.
         with_: effects that are in every hypothesis already (forward selection of a second one).
         progress: called with one line per step.
     """
+    base, batch, simulator, effects = inquiry.base, inquiry.batch, inquiry.simulator, inquiry.beside(with_)
     null_name = Hypothesis(base, tuple(with_)).name
     hypotheses = [Hypothesis(base, (*with_, effect)) for effect in effects]
     if progress:
@@ -106,52 +123,51 @@ def attribute(
     if not fits[winner].certificate.converged:
         fits[winner] = finish(fits[winner], batch, simulator, seed=child(seed, "finish"), progress=progress)
         evidence[winner] = laplace_evidence(fits[winner])
-    left = adequacy_test(fits[winner], effects, batch, simulator, seed=child(seed, "adequacy"))
-    posterior, families = _weigh(evidence, effects, tuple(with_), left.test.p_value)
-    return Attribution(fits, evidence, posterior, families, winner, left.test, left.starts)
+    return _judged(inquiry, fits, evidence, winner, tuple(with_), seed=child(seed, "adequacy"))
 
 
-def reconsider(
-    found: Attribution,
-    effect: Effect,
-    beside: ModelFit,
-    base: ModelBelief,
-    effects: Sequence[Effect],
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: int,
-) -> Attribution:
+def reconsider(inquiry: Inquiry, found: Attribution, effect: Effect, beside: ModelFit, *, seed: int) -> Attribution:
     """The attribution of a first effect again, once another was found beside its winner: is that one better alone?
 
     One with several minima (the moment of a pulse) may be found only where another effect has taken the most.
 
     Args:
+        inquiry: base model, effects and data.
         found: the attribution of the first effect.
         effect: the one found beside it.
         beside: the fit of both.
-        base: the base model's prior.
-        effects: the library to choose from.
-        batch: the data.
-        simulator: makes the bubbles.
         seed: of the fit and of the adequacy test.
 
     Returns:
         ``found`` itself unless the effect alone explains more than its winner.
     """
+    batch, simulator = inquiry.batch, inquiry.simulator
     places = map(beside.prior.names.index, effect.names)
     amplitude, *shape = (float(beside.prior.marginals[i].to_physical(beside.mean[i])) for i in places)
     starts = {effect.name: [(amplitude, *shape), (_LESS * amplitude, *shape)]}
-    alone = Hypothesis(base, (effect,))
+    alone = Hypothesis(inquiry.base, (effect,))
     fit = fit_hypotheses([alone], beside, batch, simulator, seed=seed, starts=starts, options=_FIT)[alone.name]
     if laplace_evidence(fit) <= found.log_evidence[found.winner]:
         return found
     if not fit.certificate.converged:
         fit = finish(fit, batch, simulator, seed=child(seed, "finish"))
-    evidence = found.log_evidence | {alone.name: laplace_evidence(fit)}
-    left = adequacy_test(fit, effects, batch, simulator, seed=child(seed, "adequacy"))
-    posterior, families = _weigh(evidence, effects, (), left.test.p_value)
-    return Attribution(found.fits | {alone.name: fit}, evidence, posterior, families, alone.name, left.test, left.starts)
+    fits, evidence = found.fits | {alone.name: fit}, found.log_evidence | {alone.name: laplace_evidence(fit)}
+    return _judged(inquiry, fits, evidence, alone.name, (), seed=child(seed, "adequacy"))
+
+
+def _judged(
+    inquiry: Inquiry,
+    fits: dict[str, ModelFit],
+    evidence: dict[str, float],
+    winner: str,
+    with_: tuple[Effect, ...],
+    *,
+    seed: int,
+) -> Attribution:
+    """Fits with what their evidence and the winner's adequacy say."""
+    left = adequacy_test(fits[winner], inquiry.effects, inquiry.batch, inquiry.simulator, seed=seed)
+    posterior, families = _weigh(evidence, inquiry.beside(with_), with_, left.test.p_value)
+    return Attribution(fits, evidence, posterior, families, winner, left.test, left.starts)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
-from imr_torch.gap.attribute import ADEQUATE, Adequacy, Attribution, adequacy_test, attribute, reconsider
+from imr_torch.gap.attribute import ADEQUATE, Adequacy, Attribution, Inquiry, adequacy_test, attribute, reconsider
 from imr_torch.gap.effects import LIBRARY, Effect, library
 from imr_torch.gap.hypotheses import Hypothesis, fit_null, laplace_evidence
 from imr_torch.gap.linear import Linearisation
@@ -23,9 +23,6 @@ from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, ParallelSimulator, PolytropicSimulator, Simulator, TransportSimulator
 from imr_torch.types import Progress
-
-Starts = Mapping[str, Sequence[Sequence[float]]]
-"""Name of an effect -> values to start it from."""
 
 _SURE = 0.8  # probability of one family at which a cause is named alone
 _DOUBT = 0.2  # probability of the base model alone above which no cause is named
@@ -124,8 +121,7 @@ def diagnose(
     elif not gap.found:
         found = _Finding("none", (), "No block of the gap test rejects the base model.")
     else:
-        offer = _Offer(base, effects, batch, simulator, seed, progress)
-        found = _select(offer, null, base_left, most)
+        found = _select(Inquiry(base, effects, batch, simulator), null, base_left, most, seed=seed, progress=progress)
     return GapReport(
         batch=batch,
         null=null,
@@ -167,58 +163,29 @@ class _Finding:
     adequacy_p: float | None = None
 
 
-@dataclass(frozen=True)
-class _Offer:
-    """What the selection of causes has to work with."""
-
-    base: ModelBelief
-    effects: tuple[Effect, ...]
-    batch: ExperimentBatch
-    simulator: Simulator
-    seed: int
-    progress: Progress | None
-
-    def attribute(self, chosen: tuple[Effect, ...], fit: ModelFit, starts: Starts) -> Attribution:
-        """The attribution of a further effect beside those chosen."""
-        taken = {name for effect in chosen for name in effect.names}
-        return attribute(
-            self.base,
-            tuple(effect for effect in self.effects if not taken & set(effect.names)),
-            fit,
-            starts,
-            self.batch,
-            self.simulator,
-            seed=child(self.seed, "attribute", len(chosen)),
-            with_=chosen,
-            progress=self.progress,
-        )
-
-    def reconsider(self, first: Attribution, effect: Effect, beside: ModelFit) -> Attribution:
-        """The attribution of a first effect, with one that was found beside its winner taken alone."""
-        seed = child(self.seed, "reconsider")
-        return reconsider(first, effect, beside, self.base, self.effects, self.batch, self.simulator, seed=seed)
-
-
-def _select(offer: _Offer, null: ModelFit, left: Adequacy, most: int) -> _Finding:
+def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed: int, progress: Progress | None) -> _Finding:
     """Select effects one after the other until they are adequate; name them, their class, or nobody."""
     chosen: tuple[Effect, ...] = ()
     fit, test, starts = null, left.test, left.starts
     first: Attribution | None = None
-    families = {effect.name: effect.family for effect in offer.effects}
-    while len(chosen) < min(most, len(offer.effects)):
-        found = offer.attribute(chosen, fit, starts)
-        gained = found.log_evidence[found.winner] - found.log_evidence[Hypothesis(offer.base, chosen).name]
+    families = {effect.name: effect.family for effect in inquiry.effects}
+    while len(chosen) < most and inquiry.beside(chosen):
+        own = child(seed, "attribute", len(chosen))
+        found = attribute(inquiry, fit, starts, seed=own, with_=chosen, progress=progress)
+        gained = found.log_evidence[found.winner] - found.log_evidence[Hypothesis(inquiry.base, chosen).name]
         if chosen and gained < _FURTHER:
             break
         if first is None and found.posterior["none"] >= _NO_GAP:
             return _taken_back(found, left.test)
         first, further = first or found, bool(chosen)
-        chosen = (*chosen, next(e for e in offer.effects if e.name == found.winner.split("+")[-1]))
+        chosen = (*chosen, next(e for e in inquiry.effects if e.name == found.winner.split("+")[-1]))
         fit, starts, test = found.fits[found.winner], found.next_starts, found.adequacy
         if test.p_value < ADEQUATE:
             continue
-        if further and (alone := offer.reconsider(first, chosen[-1], fit)).adequacy.p_value >= ADEQUATE:
-            return _name(chosen[-1:], alone, families)
+        if further:
+            alone = reconsider(inquiry, first, chosen[-1], fit, seed=child(seed, "reconsider"))
+            if alone.adequacy.p_value >= ADEQUATE:
+                return _name(chosen[-1:], alone, families)
         return _name(chosen, found, families)
     assert first is not None
     nearest = " and ".join(effect.name for effect in chosen)

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from imr_torch.assimilate import EnsembleOptions
-from imr_torch.gap.attribute import PRIOR_NONE, PRIOR_OTHER, Attribution, _weigh, attribute, reconsider
+from imr_torch.gap.attribute import PRIOR_NONE, PRIOR_OTHER, Attribution, Inquiry, _weigh, attribute, reconsider
 from imr_torch.gap.diagnose import impatient
 from imr_torch.gap.effects import LIBRARY, library
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
@@ -67,7 +67,7 @@ def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch)
     batch = shoot({"gas_loss": 0.2})
     null = fit(batch)
     monkeypatch.setattr("imr_torch.gap.attribute._FIT", EnsembleOptions(starts=2, iterations=2))
-    found = attribute(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), null, {}, batch, SIMULATOR, seed=0)
+    found = attribute(Inquiry(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), batch, SIMULATOR), null, {}, seed=0)
     assert found.winner == "gas_loss"
     assert found.fits["gas_loss"].certificate.converged
     assert not found.fits["surface_tension"].certificate.converged
@@ -78,13 +78,14 @@ def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_m
     batch = shoot({"gas_loss": 0.2})
     null = fit(batch)
     wrong, right = LIBRARY["wall"], LIBRARY["gas_loss"]
-    first = attribute(BASE, (wrong,), null, {}, batch, SIMULATOR, seed=0)
+    first = attribute(Inquiry(BASE, (wrong,), batch, SIMULATOR), null, {}, seed=0)
+    inquiry = Inquiry(BASE, (wrong, right), batch, SIMULATOR)
     both = fit_hypotheses([Hypothesis(BASE, (wrong, right))], first.fits["wall"], batch, SIMULATOR, seed=0)["wall+gas_loss"]
-    again = reconsider(first, right, both, BASE, (wrong, right), batch, SIMULATOR, seed=0)
+    again = reconsider(inquiry, first, right, both, seed=0)
     assert again.winner == "gas_loss"
     assert again.fits["gas_loss"].certificate.converged
     assert again.posterior["gas_loss"] > 0.9
-    assert reconsider(again, wrong, both, BASE, (wrong, right), batch, SIMULATOR, seed=0) is again
+    assert reconsider(inquiry, again, wrong, both, seed=0) is again
 
 
 def test_that_few_steps_of_polytropic_bubbles_are_taken_by_workers_too() -> None:

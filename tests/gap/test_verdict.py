@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from imr_torch.gap.attribute import Attribution
+from imr_torch.gap.attribute import Attribution, Inquiry
 from imr_torch.gap.effects import library
 from tests.gap.synthetic import BASE
 
@@ -23,6 +23,11 @@ def attribution(posterior: dict[str, float], winner: str, *, p_adequate: float =
 def named(posterior: dict[str, float], winner: str, **about: float):
     chosen = tuple(effect for effect in EFFECTS if effect.name == winner)
     return module._name(chosen, attribution(posterior, winner, **about), FAMILIES)
+
+
+def selected(p_gap: float):
+    left = SimpleNamespace(test=SimpleNamespace(p_value=p_gap), starts={})
+    return module._select(Inquiry(BASE, EFFECTS, None, None), None, left, 2, seed=0, progress=None)
 
 
 def test_that_a_probable_effect_is_named_alone() -> None:
@@ -56,10 +61,8 @@ def test_that_the_evidence_takes_a_gap_back_that_no_effect_explains(
     monkeypatch, none: float, p_adequate: float, verdict: str
 ) -> None:
     found = attribution({"gas_loss": 0.96 - none, "none": none, "other": 0.04}, "gas_loss", p_adequate=p_adequate)
-    offer = module._Offer(BASE, EFFECTS, None, None, 0, None)
-    monkeypatch.setattr(module._Offer, "attribute", lambda *_: found)
-    left = SimpleNamespace(test=SimpleNamespace(p_value=0.02), starts={})
-    finding = module._select(offer, None, left, 2)
+    monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
+    finding = selected(0.02)
     assert finding.verdict == verdict
     assert ("keeps a probability of 0.60" in finding.reason) == (verdict == "none")
 
@@ -70,8 +73,7 @@ def test_that_a_second_effect_that_is_enough_alone_is_named_alone(monkeypatch, p
     both = attribution({"gas_loss+wall": 0.96, "none": 0.0, "other": 0.04}, "gas_loss+wall")
     both.log_evidence.update({"gas_loss": 0.0, "gas_loss+wall": 20.0})
     alone = attribution({"wall": 0.96, "none": 0.0, "other": 0.04}, "wall", p_adequate=p_alone)
-    offer = module._Offer(BASE, EFFECTS, None, None, 0, None)
-    monkeypatch.setattr(module._Offer, "attribute", lambda _, chosen, *__: both if chosen else first)
-    monkeypatch.setattr(module._Offer, "reconsider", lambda *_: alone)
-    finding = module._select(offer, None, SimpleNamespace(test=SimpleNamespace(p_value=0.0), starts={}), 2)
+    monkeypatch.setattr(module, "attribute", lambda *_, with_, **__: both if with_ else first)
+    monkeypatch.setattr(module, "reconsider", lambda *_, **__: alone)
+    finding = selected(0.0)
     assert (finding.verdict, finding.cause) == ("effect", cause)
