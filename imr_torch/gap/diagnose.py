@@ -29,7 +29,7 @@ _DOUBT = 0.2  # probability of the base model alone above which no cause is name
 _NO_GAP = 0.5  # that from which on there is no gap
 _SET = 0.95  # probability that the effects of a class reach together
 _LARGEST_CLASS = 3  # effects of different families that still make a verdict
-_STEPS = 1500  # of a polytropic bubble: a relaxation time of .7 us takes 700, most gels 200
+_STEPS = 600  # of a polytropic bubble: a relaxation time of .3 us takes 480, most gels 200
 _FURTHER = 3.0  # nats that a further effect must explain
 
 
