@@ -28,11 +28,14 @@ from imr_torch.simulate import Simulator, simulate_together
 from imr_torch.types import Progress
 
 PRIOR_NONE, PRIOR_OTHER = 0.5, 0.1
+PRIOR_TWO = 0.05
+"""That two effects of the library act at once, beside ``PRIOR_OTHER`` for one that is not in it."""
 ADEQUATE = 0.05
 """Below this ``p_ad`` the winner leaves a gap, and the verdict is a further effect or "other"; a right winner is so doubted by
 chance once in twenty. In the sets tried, two of four adequate wrong winners lay between .01 and here, one of 39 right ones."""
 
 _MASKED = 0.35  # chance that some effect of the library is adequate although the true one is not in it
+_MASKED_BY_TWO = 0.14  # that two are together, where none is alone: five of 35 withheld effects
 _LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
 _FIT = EnsembleOptions(starts=2, iterations=30, spread=SPREAD, hopeless=6.0)
 
@@ -226,7 +229,8 @@ def _weigh(
     known = sum(math.exp(w - top) for w in weights.values())
     p_adequate = max(p_adequate, 1e-300)  # one that underflowed
     bound = -math.e * p_adequate * math.log(p_adequate) if p_adequate < 1.0 / math.e else 1.0
-    other = known * PRIOR_OTHER / (1.0 - PRIOR_OTHER) * _MASKED / max(bound, 1e-12)
+    odds = PRIOR_OTHER * (1.0 - _MASKED) * _MASKED_BY_TWO / PRIOR_TWO if with_ else PRIOR_OTHER * _MASKED / (1.0 - PRIOR_OTHER)
+    other = known * odds / max(bound, 1e-12)
     posterior = {name: math.exp(w - top) / (known + other) for name, w in weights.items()} | {"other": other / (known + other)}
     classes: dict[str, float] = {}
     for name, probability in posterior.items():

@@ -55,6 +55,14 @@ def test_that_a_second_effect_is_weighed_beside_the_first() -> None:
     )
 
 
+def test_that_two_effects_are_doubted_more_than_one() -> None:
+    """An unknown effect is imitated by two where one cannot, and two at once are rarer than one."""
+    alone, _ = _weigh({"none": 0.0, "gas_loss": 50.0}, EFFECTS[2:], (), 0.9)
+    beside, _ = _weigh({"gas_loss": 0.0, "gas_loss+wall": 50.0}, (EFFECTS[3],), (EFFECTS[2],), 0.9)
+    assert 0.03 < alone["other"] < 0.05
+    assert 0.1 < beside["other"] < 0.2
+
+
 def test_that_the_credible_set_is_the_smallest_that_reaches_its_level() -> None:
     posterior = {"a": 0.6, "b": 0.3, "none": 0.06, "other": 0.04}
     found = Attribution({}, {}, posterior, {}, "a", None, {})
