@@ -96,7 +96,7 @@ def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping) -> tuple[Tensor,
     ticks = stepping.step * torch.arange(_BLOCK + 1, dtype=times.dtype, device=times.device)
     for _ in range(0, stepping.max_steps, _BLOCK):
         moving = bubbles if active.numel() == count else bubbles.take(active)
-        path = odeint(_field(moving), state[:, active], ticks, method="rk4")
+        path = odeint(_field(moving, stepping.step), state[:, active], ticks, method="rk4")
         assert isinstance(path, Tensor)  # a tuple only for tuple states
         history.append(state.expand(_BLOCK, *state.shape).index_copy(2, active, path[1:]))
         state = history[-1][-1]
@@ -149,8 +149,8 @@ def rate_of(bubbles: Bubbles, head: Head, state: Tensor) -> Tensor:
     return torch.cat(rows) if len(rows) > 1 else rows[0]
 
 
-def _field(bubbles: Bubbles):
-    """Right-hand side in stretched time."""
+def _field(bubbles: Bubbles, step: float):
+    """Right-hand side in stretched time, cut into steps of one length."""
     theta = bubbles.theta
     stiffness = 4.0 * theta["mu"]
     elastic = 2.0 * theta["G"] * (1.0 + theta["alpha"].abs()) + 2.0 * theta["G_lin"]
@@ -161,7 +161,7 @@ def _field(bubbles: Bubbles):
         head = head_of(bubbles, state)
         motion = rate_of(bubbles, head, state)
         pressure = head.pressure + elastic
-        return motion * time_per_tick(head.radius, head.velocity, motion[1], pressure, stiffness, relaxation)
+        return motion * time_per_tick(head.radius, head.velocity, motion[1], pressure, stiffness, relaxation, step)
 
     return rate
 
