@@ -4,8 +4,8 @@ All effects are fitted in one batch, from two starts or, where an effect has sev
 left behind rests as soon as what it may still reach lags. (Scores at the null fit rank small effects well and large ones
 badly, so they only choose from where to start.) The evidence is that of the Gaussian approximation. A closed library always
 names somebody, so the winner must also be adequate: the gap test at its own fit gives ``p_ad``, and "other" is weighed by
-how often an unknown effect hides behind a known one, and by the bound of Sellke, Bayarri & Berger (Am. Stat. 55, 2001) on
-what it could gain, ``1/(-e p ln p)``.
+how often an unknown effect hides behind one or two known ones, and by the bound of Sellke, Bayarri & Berger (Am. Stat. 55,
+2001) on what it could gain, ``1/(-e p ln p)``.
 """
 
 import math
@@ -29,7 +29,7 @@ from imr_torch.types import Progress
 
 PRIOR_NONE, PRIOR_OTHER = 0.5, 0.1
 PRIOR_TWO = 0.05
-"""That two effects of the library act at once, beside ``PRIOR_OTHER`` for one that is not in it."""
+"""That two effects of the library act at once; ``PRIOR_OTHER`` is for one that is not in it."""
 ADEQUATE = 0.05
 """Below this ``p_ad`` the winner leaves a gap, and the verdict is a further effect or "other"; a right winner is so doubted by
 chance once in twenty. In the sets tried, two of four adequate wrong winners lay between .01 and here, one of 39 right ones."""
@@ -227,13 +227,19 @@ def _weigh(
     weights["none"] = math.log(PRIOR_NONE) + evidence[prefix or "none"]
     top = max(weights.values())
     known = sum(math.exp(w - top) for w in weights.values())
-    p_adequate = max(p_adequate, 1e-300)  # one that underflowed
-    bound = -math.e * p_adequate * math.log(p_adequate) if p_adequate < 1.0 / math.e else 1.0
-    odds = PRIOR_OTHER * (1.0 - _MASKED) * _MASKED_BY_TWO / PRIOR_TWO if with_ else PRIOR_OTHER * _MASKED / (1.0 - PRIOR_OTHER)
-    other = known * odds / max(bound, 1e-12)
+    other = known * _odds_of_other(p_adequate, two=bool(with_))
     posterior = {name: math.exp(w - top) / (known + other) for name, w in weights.items()} | {"other": other / (known + other)}
     classes: dict[str, float] = {}
     for name, probability in posterior.items():
         family = family_of.get(name, name)
         classes[family] = classes.get(family, 0.0) + probability
     return posterior, classes
+
+
+def _odds_of_other(p_adequate: float, *, two: bool) -> float:
+    """Odds of an effect that is not in the library against what is, one or ``two`` of whose effects leave ``p_adequate``."""
+    one_alone, two_at_once = PRIOR_OTHER / (1.0 - PRIOR_OTHER), PRIOR_OTHER * (1.0 - _MASKED) / PRIOR_TWO
+    masked = two_at_once * _MASKED_BY_TWO if two else one_alone * _MASKED
+    p = max(p_adequate, 1e-300)  # one that underflowed
+    bound = -math.e * p * math.log(p) if p < 1.0 / math.e else 1.0
+    return masked / max(bound, 1e-12)
