@@ -102,7 +102,7 @@ def _split(text: str | None) -> list[str]:
 
 def _experiments(args: argparse.Namespace, simulator: Simulator) -> list[Experiment]:
     """Sets or curves as experiments; what was read and left out is printed."""
-    sets = [name for name in args.files if name.lower().endswith(".npz")]
+    sets = [name for name in args.files if _is_set(name)]
     if not sets:
         traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
         print(traces.report() + "\n")
@@ -121,6 +121,10 @@ def _experiments(args: argparse.Namespace, simulator: Simulator) -> list[Experim
     ]
 
 
+def _is_set(name: str) -> bool:
+    return name.lower().endswith(".npz")
+
+
 def _named(experiments: Sequence[Experiment], text: str, option: str) -> list[Experiment]:
     """The experiments of given labels."""
     labels = [e.label for e in experiments]
@@ -132,8 +136,8 @@ def _named(experiments: Sequence[Experiment], text: str, option: str) -> list[Ex
 
 def _noise(args: argparse.Namespace, experiments: Sequence[Experiment]) -> Noise:
     """The noise law that was asked for, or the one that suits the data."""
-    single = all(e.repeats == 1 for e in experiments)
-    if args.noise == "published" or (args.noise is None and not single):
+    known = "published" if _is_set(args.files[0]) else "estimated"
+    if (args.noise or known) == "published":
         return Noise()
     noise = noise_of_traces(experiments)
     constant = f"{noise.scale * noise.floor:.4f} in R*"

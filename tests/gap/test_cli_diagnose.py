@@ -70,6 +70,15 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
     assert "Curves of 1 experiments" in page  # the one that is held out is not looked at
 
 
+@pytest.mark.parametrize(("options", "words"), [((), False), (("--noise", "estimated"), True)])
+def test_that_a_set_has_the_published_noise_however_few_its_repeats(options, words, matched, tmp_path, capsys):
+    with np.load(matched) as document:
+        arrays = dict(document)
+    np.savez(tmp_path / "one.npz", **arrays | {"radius_m": arrays["radius_m"][:, :1]})
+    assert main(["diagnose", str(tmp_path / "one.npz"), *FAST, *options]) == 0
+    assert ("x published" in capsys.readouterr().out) is words
+
+
 @pytest.fixture
 def broken(tmp_path, matched) -> dict[str, Path]:
     """Files that are no good, by what is wrong with them."""
