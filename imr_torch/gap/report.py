@@ -131,6 +131,9 @@ def repeats_needed(power: float, rank: int, tests: int, *, wanted: float = 0.8) 
     return noncentrality(wanted) / noncentrality(power)
 
 
+_STEADY = "Fitted to a moving window, no parameter changes over the event by more than its uncertainty."
+
+
 def _where(report: GapReport, parts: Parts) -> tuple[str, ...]:
     lines = []
     if parts.onset is not None:
@@ -142,10 +145,8 @@ def _where(report: GapReport, parts: Parts) -> tuple[str, ...]:
         lines.append(which.reading)
     if parts.windows is not None:
         drifting = [name for name, p in zip(parts.windows.names, parts.windows.p_constant.tolist(), strict=True) if p < 0.01]
-        lines.append(
-            f"Fitted to a moving window, {', '.join(drifting) or 'no parameter'} "
-            f"change{'' if len(drifting) > 1 else 's'} over the event; any missing effect does that, so it names no cause."
-        )
+        change = f"change{'' if len(drifting) > 1 else 's'} over the event; any missing effect does that, so it names no cause."
+        lines.append(f"Fitted to a moving window, {', '.join(drifting)} {change}" if drifting else _STEADY)
     if parts.latent is not None:
         lines.append(f"Latent pressure: {parts.latent.log_bayes:.0f} nats over none. {parts.latent.caveat}")
     return tuple(lines) or (_unlocated(report),)
