@@ -64,6 +64,15 @@ def test_that_json_has_the_agreed_keys_and_what_was_found(found):
     assert shift["base"][1] < 0.07 < shift["with_cause"][0] < 0.08 < shift["with_cause"][2]
 
 
+@pytest.mark.parametrize(
+    ("p", "words"), [(1e-3, "moving window, G, mu change over"), (0.5, "no parameter changes over the event")]
+)
+def test_that_windows_say_what_changes_or_that_nothing_does(found, p, words):
+    report, parts = found
+    windows = replace(parts.windows, p_constant=torch.full_like(parts.windows.p_constant, p))
+    assert words in describe(report, replace(parts, windows=windows))
+
+
 def test_that_parts_that_were_not_run_are_null_and_said_to_be_missing(found):
     report, _ = found
     assert {key for key, value in to_json(report).items() if value is None} == set(PARTS)
