@@ -27,6 +27,8 @@ _CAUSES = 5
 _BLOCKS = 3
 _BLIND = 0.5  # power below which an effect counts as hidden at this number of repeats
 _UNSURE = 0.1  # power below which it is close to the level itself, and only a bound on the repeats is known
+_DRIFT = 0.01  # p below which a parameter is said to change over the event
+_STEADY = "Fitted to a moving window, no parameter changes over the event by more than its uncertainty."
 
 
 @dataclass(frozen=True)
@@ -131,9 +133,6 @@ def repeats_needed(power: float, rank: int, tests: int, *, wanted: float = 0.8) 
     return noncentrality(wanted) / noncentrality(power)
 
 
-_STEADY = "Fitted to a moving window, no parameter changes over the event by more than its uncertainty."
-
-
 def _where(report: GapReport, parts: Parts) -> tuple[str, ...]:
     lines = []
     if parts.onset is not None:
@@ -144,7 +143,8 @@ def _where(report: GapReport, parts: Parts) -> tuple[str, ...]:
         lines.append(f"Experiments that reject the model by themselves: {', '.join(loud) or 'none'}.")
         lines.append(which.reading)
     if parts.windows is not None:
-        drifting = [name for name, p in zip(parts.windows.names, parts.windows.p_constant.tolist(), strict=True) if p < 0.01]
+        tested = zip(parts.windows.names, parts.windows.p_constant.tolist(), strict=True)
+        drifting = [name for name, p in tested if p < _DRIFT]
         change = f"change{'' if len(drifting) > 1 else 's'} over the event; any missing effect does that, so it names no cause."
         lines.append(f"Fitted to a moving window, {', '.join(drifting)} {change}" if drifting else _STEADY)
     if parts.latent is not None:

@@ -13,8 +13,8 @@ _REST = 0.3  # keeps g finite where nothing moves: about the frequency of the sl
 _PRESSURE = 0.5
 _FALL = 0.5
 _VISCOUS = 0.05  # keeps step * rate below the stability limit 2.8 of RK4 for overdamped bubbles
-_MEMORY = 0.07  # for memory that fades faster than the bubble moves: the same limit at steps of .15; .2 is no more accurate
-_STABLE = 2.2  # step * rate that such memory may reach at longer steps
+_MEMORY = 0.07  # resolves memory that fades faster than the bubble moves: shorter steps are no more accurate, only slower
+_STABLE = 2.2  # step * rate that such memory may reach where steps are so long that the limit of RK4 rules instead
 
 
 def time_per_tick(
@@ -23,8 +23,8 @@ def time_per_tick(
     acceleration: Tensor,
     pressure: Tensor,
     stiffness: Tensor,
-    relaxation: Tensor | None = None,
-    step: float = 0.0,
+    relaxation: Tensor | None,
+    step: float,
 ) -> Tensor:
     """``g = dt/d tau``: the shortest of the bubble's own time scales, blended smoothly.
 
@@ -35,7 +35,7 @@ def time_per_tick(
         pressure: bubble and elastic pressure over ``p_inf``; gives ``R/sqrt(p)``, the period of the gas spring.
         stiffness: ``4/Re``; gives the viscous time ``R^2 Re/4``.
         relaxation: rate of the fastest memory of the gel, if it has any.
-        step: steps of ``tau`` that must be stable where memory fades fast.
+        step: length of the steps of ``tau``, which must be stable where memory fades fast.
 
     Returns:
         Tensor of the broadcast shape, dimensionless time per unit of ``tau``.
