@@ -40,8 +40,7 @@ SEARCH = Optimal(Estimator(draws=16), batch=5)
 POLICIES: dict[str, DesignPolicy] = {"optimal": SEARCH, "random": Random()}
 MODES = ("exact", "paper")
 WITHIN, SURE, LEVEL = 0.01, 0.99, 0.9
-COVERED = (1, 3, 5)
-VOLUME_AT = 3
+COMPARED_AT = 3
 
 
 @dataclass(frozen=True)
@@ -175,6 +174,13 @@ def _first(rows: Sequence[Row], reached: Any) -> float:
     return next((float(n) for n, row in enumerate(rows, start=1) if reached(row)), math.inf)
 
 
+def _for_good(rows: Sequence[Row]) -> float:
+    """Number of the first design from which on every parameter stays within 1 %; infinite when the last is not."""
+    beyond = [n for n, row in enumerate(rows, start=1) if not _close(row)]
+    last = max(beyond, default=0)
+    return last + 1.0 if last < len(rows) else math.inf
+
+
 def _known(numbers: Sequence[float]) -> list[float | None]:
     """Sorted, with None for never so far."""
     return [None if math.isinf(n) else n for n in sorted(numbers)]
@@ -190,7 +196,7 @@ def summary(seeds: dict[int, list[Row]], cpu: Path) -> dict[str, Any]:
     """The figures of one case, policy and mode."""
     rows, longest = list(seeds.values()), max(len(r) for r in seeds.values())
     until = [_first(r, _close) for r in rows]
-    stays = [_first(r, lambda row, r=r: all(_close(later) for later in r[r.index(row) :])) for r in rows]
+    stays = [_for_good(r) for r in rows]
     sure = [_first(r, lambda row: row.probability > SURE) for r in rows]
     at = {n: [r[n - 1] for r in rows if len(r) >= n] for n in range(1, longest + 1)}
     timed = [json.loads(line) for line in cpu.read_text().splitlines()] if cpu.exists() else []
@@ -229,6 +235,24 @@ def _against(first: dict[int, list[Row]], second: dict[int, list[Row]], value: A
     return {"difference": difference, "error": error, "seeds": [len(g) for g in groups]}
 
 
+def _policies(optimal: dict[int, list[Row]], random: dict[int, list[Row]]) -> dict[str, Any]:
+    """What optimal designs save; where the longest campaigns were not enough, one design more is counted."""
+    longest = max(len(rows) for seeds in (optimal, random) for rows in seeds.values())
+
+    def against(value: Any, least: int) -> dict[str, Any] | None:
+        return _against(optimal, random, lambda rows: value(rows) if len(rows) >= least else None)
+
+    def worst(rows: list[Row]) -> float:
+        return math.log(max(rows[COMPARED_AT - 1].sds))
+
+    volumes = {f"log volume after {n}": against(lambda rows, n=n: rows[n - 1].volume, n) for n in range(1, longest + 1)}
+    return volumes | {
+        f"log worst relative sd after {COMPARED_AT}": against(worst, COMPARED_AT),
+        "designs until within 1 %": against(lambda rows: min(_first(rows, _close), longest + 1.0), longest),
+        "designs until within 1 % for good": against(lambda rows: min(_for_good(rows), longest + 1.0), longest),
+    }
+
+
 def table(folder: Path) -> dict[str, Any]:
     """All figures of the table, of whatever campaigns there are, and what differs between optimal and random designs."""
     document: dict[str, Any] = {}
@@ -240,17 +264,5 @@ def table(folder: Path) -> dict[str, Any]:
                     name = f"{case.key}_{policy}_{mode}"
                     document[name] = summary(seeds, folder / "campaigns" / name / "cpu.jsonl")
             if all(found.values()):
-                longest = max(len(rows) for seeds in found.values() for rows in seeds.values())
-                document[f"{case.key}_{mode}: optimal minus random"] = {
-                    f"log volume after {n}": _against(
-                        found["optimal"], found["random"], lambda rows, n=n: rows[n - 1].volume if len(rows) >= n else None
-                    )
-                    for n in range(1, longest + 1)
-                } | {
-                    f"log worst relative sd after {VOLUME_AT}": _against(
-                        found["optimal"],
-                        found["random"],
-                        lambda rows: math.log(max(rows[VOLUME_AT - 1].sds)) if len(rows) >= VOLUME_AT else None,
-                    )
-                }
+                document[f"{case.key}_{mode}: optimal minus random"] = _policies(found["optimal"], found["random"])
     return document
