@@ -30,7 +30,7 @@ _NO_GAP = 0.5  # that from which on there is no gap
 _SET = 0.95  # probability that the effects of a class reach together
 _LARGEST_CLASS = 3  # effects of different families that still make a verdict
 _STEPS = 600  # of a polytropic bubble: a relaxation time of .3 us takes 480, most gels 200
-_FURTHER = 3.0  # nats that a further effect must explain
+_FURTHER = 3.0  # nats that an effect must explain to count as more than nothing
 
 
 @dataclass(frozen=True)
@@ -188,9 +188,14 @@ def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed
                 return _name(chosen[-1:], alone, families)
         return _name(chosen, found, families)
     assert first is not None
-    nearest = " and ".join(effect.name for effect in chosen)
-    explained = f"{laplace_evidence(fit) - laplace_evidence(null):.0f} nats, adequacy p = {test.p_value:.2g}"
-    reason = f"No effect of the library is enough; nearest comes {nearest} ({explained})."
+    nearest, explained = " and ".join(effect.name for effect in chosen), laplace_evidence(fit) - laplace_evidence(null)
+    if explained < _FURTHER:
+        reason = f"No effect of the library explains any of it (adequacy p = {test.p_value:.2g})."
+    else:
+        reason = (
+            f"No effect of the library is enough; nearest comes {nearest} "
+            f"({explained:.0f} nats, adequacy p = {test.p_value:.2g})."
+        )
     return _Finding("other", (), reason, first, test.p_value)
 
 

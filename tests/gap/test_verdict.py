@@ -77,3 +77,13 @@ def test_that_a_second_effect_that_is_enough_alone_is_named_alone(monkeypatch, p
     monkeypatch.setattr(module, "reconsider", lambda *_, **__: alone)
     finding = selected(0.0)
     assert (finding.verdict, finding.cause) == ("effect", cause)
+
+
+@pytest.mark.parametrize(("nats", "said"), [(40.0, "nearest comes gas_loss (40 nats"), (0.3, "explains any of it")])
+def test_that_other_says_what_came_nearest_only_if_that_explains_something(monkeypatch, nats: float, said: str) -> None:
+    found = attribution({"gas_loss": 0.96, "none": 0.0, "other": 0.04}, "gas_loss", p_adequate=1e-6)
+    monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
+    monkeypatch.setattr(module, "laplace_evidence", lambda fit: 0.0 if fit is None else nats)
+    finding = selected(0.0)
+    assert finding.verdict == "other"
+    assert said in finding.reason
