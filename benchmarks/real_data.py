@@ -25,7 +25,6 @@ from imr_torch.characterize import Characterization, predictive_band, prepare
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.observe import NUISANCES, TraceSet, collapse_time, find_landmarks
 from imr_torch.plot import plot_experiment
-from imr_torch.select import cross_validate
 from imr_torch.simulate import (
     Conditions,
     PolytropicSimulator,
@@ -93,13 +92,21 @@ class Task:
         try:
             traces = some(load_traces(self.file), self.curves)
             tail = all(find_landmarks(trace).rest_radius_m is not None for trace in traces)
-            fit = partial(characterize, traces, simulator=counting, options=self.options, seed=SEED, progress=print_)
+            scores = self.scores and len(traces) > 1
+            fit = partial(
+                characterize,
+                traces,
+                simulator=counting,
+                options=self.options,
+                scores=scores,
+                seed=SEED,
+                progress=print_,
+            )
             result = fit() if tail else fit(rest_radius=REST)
-            scores = _scores(result, counting, self.options) if self.scores and len(traces) > 1 else None
             self._draw(result, simulator)
         except ImrError as error:
             return name | {"failure": f"{type(error).__name__}: {error}", "bubbles": counting.bubbles}
-        return name | _row(result, rest_assumed=not tail) | {"scores": scores, "bubbles": counting.bubbles}
+        return name | _row(result, rest_assumed=not tail) | {"bubbles": counting.bubbles}
 
     def _draw(self, result: Characterization, simulator: Simulator) -> None:
         """Curves with the predictive band of the most probable model."""
@@ -132,22 +139,6 @@ def _long_enough(trace: TraceSet) -> bool:
     return True
 
 
-def _scores(result: Characterization, simulator: Simulator, options: EnsembleOptions) -> dict[str, Any]:
-    """Held-out log density of each model, summed over two folds of curves."""
-    count = len(result.experiments)
-    folds = [list(range(count))[i::2] for i in range(2)]
-    found = cross_validate(result.assimilation, simulator, seed=SEED, folds=folds, options=options)
-    models = dict.fromkeys(score.model for score in found)
-    return {
-        key: {
-            "value": sum(s.value for s in found if s.model == key),
-            "error": sum(s.error**2 for s in found if s.model == key) ** 0.5,
-            "refitted": sum(s.refitted for s in found if s.model == key),
-        }
-        for key in models
-    }
-
-
 def _row(result: Characterization, *, rest_assumed: bool) -> dict[str, Any]:
     """Everything the table shows."""
     document = result.to_dict()
@@ -159,6 +150,7 @@ def _row(result: Characterization, *, rest_assumed: bool) -> dict[str, Any]:
         "model_probabilities": document["model_probabilities"],
         "models": document["models"],
         "noise": document["noise"],
+        "scores": document["scores"],
         "remarks": remarks(result, best),
     }
 

@@ -27,7 +27,15 @@ from imr_torch.observe import (
     to_experiment,
 )
 from imr_torch.random import child
-from imr_torch.select import Evidence, evidences, probability_errors, update
+from imr_torch.select import (
+    Evidence,
+    PredictiveScore,
+    cross_validate,
+    evidences,
+    probability_errors,
+    sum_over_folds,
+    update,
+)
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.types import Progress
 
@@ -49,6 +57,7 @@ class Characterization:
         evidence: the evidence of each model.
         posterior: parameters and model probabilities after the data.
         seconds: processor time.
+        scores: held-out log density of each model, summed over all curves; empty if none was held out.
     """
 
     experiments: tuple[Experiment, ...]
@@ -57,6 +66,7 @@ class Characterization:
     evidence: tuple[Evidence, ...]
     posterior: Belief
     seconds: float
+    scores: tuple[PredictiveScore, ...] = ()
 
     @property
     def noise(self) -> Noise:
@@ -82,6 +92,7 @@ class Characterization:
             "experiments": [{"id": e.label, "We": e.design[0], "R_inf*": e.design[1]} for e in self.experiments],
             "model_probabilities": self.posterior.probabilities,
             "models": models,
+            "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
             "noise": vars(self.noise),
             "belief": self.posterior.to_dict(),
             "cpu_seconds": self.seconds,
@@ -109,6 +120,15 @@ class Characterization:
             worst = sorted(self.assimilation.rmse_by_experiment(order[0].model).items(), key=lambda item: -item[1])
             lines.append(f"\nRMSE of each curve under {order[0].prior.material.title}, largest first:")
             lines += [f"  {label}: {value:.4f}" for label, value in worst[:_CURVES_LISTED]]
+        if self.scores:
+            best = max(self.scores, key=lambda score: score.value)
+            lines.append(
+                f"\nCurves foretold by the others (log density less that of {best.model}, nats, +- Monte Carlo error):"
+            )
+            lines += [
+                f"  {score.model}: {score.value - best.value:.1f} +- {score.error:.1f}"
+                for score in sorted(self.scores, key=lambda score: -score.value)
+            ]
         return "\n".join(lines)
 
 
@@ -160,6 +180,7 @@ def characterize(
     collapses: int = 2,
     rest_radius: tuple[float, float] | None = None,
     options: EnsembleOptions | None = None,
+    scores: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Characterization:
@@ -174,15 +195,19 @@ def characterize(
         collapses: collapses that the fitted window holds.
         rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
         options: how the assimilation searches.
+        scores: whether each model also foretells curves from the others (each alone up to five, more in four parts), with the
+            noise that was estimated from all.
         seed: of everything random.
         progress: called with one line per step.
 
     Raises:
-        InputDataError: as in :func:`prepare`, or if there is no trace.
+        InputDataError: as in :func:`prepare`, if there is no trace, or one alone is to be foretold by others.
     """
     started = time.process_time()
     if len(traces) == 0:
         raise InputDataError("No curve to characterise; load at least one.")
+    if scores and len(traces) == 1:
+        raise InputDataError("Scores hold curves out, and there is 1; give at least two, or ask for no scores.")
     prior, noise = prior or wide_prior(), noise or Noise()
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     experiments, landmarks = prepare(traces, simulator, collapses=collapses, rest_radius=rest_radius)
@@ -196,7 +221,11 @@ def characterize(
     result = weigh(result, simulator, seed=child(seed, "weigh"), hopeless=hopeless, progress=progress)
     evidence = evidences(result)
     posterior = update(result, evidence)
-    return Characterization(experiments, landmarks, result, evidence, posterior, time.process_time() - started)
+    found: tuple[PredictiveScore, ...] = ()
+    if scores:
+        own = child(seed, "scores")
+        found = sum_over_folds(cross_validate(result, simulator, seed=own, options=options, progress=progress))
+    return Characterization(experiments, landmarks, result, evidence, posterior, time.process_time() - started, found)
 
 
 def _fit(

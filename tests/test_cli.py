@@ -62,6 +62,16 @@ def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys
     assert "converged" in capsys.readouterr().out
 
 
+def test_characterize_scores_models_by_curves_foretold_from_the_others(tmp_path, capsys):
+    arguments = ["characterize", str(EXAMPLE), "--models", "newtonian,nhkv", "--physics", "polytropic", "--scores", "--quiet"]
+    document = tmp_path / "result.json"
+    assert main([*arguments, "--experiments", "shot_1,shot_3", "--json", str(document)]) == 0
+    scores = json.loads(document.read_text())["scores"]
+    assert scores["nhkv"]["value"] > scores["newtonian"]["value"] + 10.0
+    said = capsys.readouterr().out.partition("log density less that of nhkv")[2]
+    assert said.index("nhkv: 0.0") < said.index("newtonian: -")
+
+
 def test_design_recommends_inside_the_space_and_draws_its_map(tmp_path):
     out = tmp_path / "next"
     options = ["--evaluations", "5", "--draws", "4", "--we-range", "200:400", "--policy", "qEI"]
@@ -198,6 +208,8 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
         ),
         (["characterize", "{file}", "--rest-radius", "wide"], "--rest-radius: 'wide' is not VALUE:VALUE, for example 0.2:0.1"),
         (["characterize", "{file}", "--belief", "{file}"], "not a saved belief"),
+        (["characterize", "{file}", "--scores"], "Scores hold curves out, and there is 1; give at least two"),
+        (["characterize", "{file}", "--scores", "--each"], "--scores foretells curves from others, and --each fits every one"),
         (["characterize", "{file}", "--known", "G"], "--known: 'G' is not NAME=NUMBER"),
         (["simulate", "--set", "G=1e4"], "model 'nhkv' has the parameters G, mu; got G"),
         (["simulate", "--set", "G=-5,mu=0.1"], r"Parameter 'G' is -5 Pa; expected a value in \[0, 1e\+07\] Pa"),

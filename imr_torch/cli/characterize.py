@@ -23,6 +23,7 @@ from imr_torch.cli.common import (
     simulator_of,
     write_result,
 )
+from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import Layout, TraceSet, load_traces
 from imr_torch.plot import plot_experiment, plot_parameter, plot_probabilities
@@ -46,6 +47,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="estimated",
         help="observation noise: scale and correlation time estimated from the residuals (default), or the published law",
     )
+    parser.add_argument(
+        "--scores",
+        action="store_true",
+        help="also hold curves out and score how well each model foretells them from the others",
+    )
     parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
     add_physics_argument(parser, default="transport")
     add_prior_arguments(parser)
@@ -53,6 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Load, infer, report."""
+    if args.each and args.scores:
+        raise InputDataError("--scores foretells curves from others, and --each fits every one alone; leave one of them out.")
     traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
     if args.experiments:
         traces = traces.select([name.strip() for name in args.experiments.split(",")])
@@ -78,6 +86,7 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, folder: Path | Non
         estimate_noise=args.noise == "estimated",
         collapses=args.collapses,
         rest_radius=parse_pair(args.rest_radius, "--rest-radius"),
+        scores=args.scores,
         seed=args.seed,
         progress=progress_of(args),
     )

@@ -25,11 +25,10 @@ from imr_torch.gap.linear import linearise
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
+from imr_torch.select import default_folds
 from imr_torch.simulate import Simulator, simulate_together
 from imr_torch.types import Progress
 
-_ALONE = 5  # up to as many designs each is held out alone; of more, a quarter at a time
-_FOLDS = 4
 _BOOTSTRAP = 2000
 _APART = 0.03  # prior standard deviations between the starts of a training fit: many posterior ones, and inside one valley
 _STEPS = 2  # Gauss-Newton steps for the nuisances of a held-out design
@@ -251,19 +250,12 @@ def _near(
     return fits
 
 
-def folds(count: int) -> list[list[int]]:
-    """Which of ``count`` designs are held out together: each alone up to five, else in four parts."""
-    if count <= _ALONE:
-        return [[i] for i in range(count)]
-    return [list(range(start, count, _FOLDS)) for start in range(_FOLDS)]
-
-
 def _hold_out(
     fits: Mapping[str, ModelFit], batch: ExperimentBatch, simulator: Simulator, seed: int, progress: Progress | None
 ) -> dict[str, list[HeldOut]]:
     """Held-out predictions of every design by every hypothesis, in the order of the designs."""
     count = len(batch.experiments)
-    groups = folds(count)
+    groups = default_folds(count)
 
     def judge(number: int, simulator: Simulator) -> dict[tuple[str, int], HeldOut]:
         out = groups[number]

@@ -1,7 +1,7 @@
 """Stage 5, which model: evidence with its Monte Carlo error, probabilities, and predictive scores beside them."""
 
 from imr_torch.select.evidence import Evidence, evidences, log_evidence
-from imr_torch.select.predictive import PredictiveScore, cross_validate, predictive_density
+from imr_torch.select.predictive import PredictiveScore, cross_validate, default_folds, predictive_density, sum_over_folds
 from imr_torch.select.probabilities import probability_errors, update
 from imr_torch.select.published import published_probabilities
 
@@ -9,10 +9,12 @@ __all__ = [
     "Evidence",
     "PredictiveScore",
     "cross_validate",
+    "default_folds",
     "evidences",
     "log_evidence",
     "predictive_density",
     "probability_errors",
     "published_probabilities",
+    "sum_over_folds",
     "update",
 ]

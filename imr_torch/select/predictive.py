@@ -21,6 +21,10 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.select.evidence import evidences, log_evidence
 from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
+
+_ALONE = 5  # up to as many experiments each is held out alone; of more, a quarter at a time
+_FOLDS = 4
 
 
 @dataclass(frozen=True)
@@ -32,8 +36,8 @@ class PredictiveScore:
         held_out: labels of the experiments.
         value: ``log p(held out | the others)``, nats; of all repeats and frames together.
         error: its Monte Carlo standard error.
-        pareto_k: shape of the tail of the weights that leave the experiments out (before a refit).
-        refitted: whether the fit was made again without them.
+        pareto_k: shape of the tail of the weights that leave the experiments out (before a refit); the largest, of several.
+        refitted: whether the fit was made again without them, once at least.
     """
 
     model: str
@@ -77,6 +81,13 @@ def predictive_density(
     return float(torch.logsumexp(joint, dim=0)), float((after * values[:, 1]).norm())
 
 
+def default_folds(count: int) -> list[list[int]]:
+    """Which of ``count`` experiments are held out together: each alone up to five, else in four parts."""
+    if count <= _ALONE:
+        return [[i] for i in range(count)]
+    return [list(range(start, count, _FOLDS)) for start in range(_FOLDS)]
+
+
 def cross_validate(
     assimilation: Assimilation,
     simulator: Simulator,
@@ -85,6 +96,7 @@ def cross_validate(
     folds: Sequence[Sequence[int]] | None = None,
     samples: int = 256,
     options: EnsembleOptions | None = None,
+    progress: Progress | None = None,
 ) -> tuple[PredictiveScore, ...]:
     """Score every model on each fold of the experiments, learning from the others.
 
@@ -92,19 +104,20 @@ def cross_validate(
         assimilation: weighed fits to all experiments.
         simulator: the simulator they were made with, for refits.
         seed: of refits, which start where the whole fit ended.
-        folds: indices of the experiments that are held out together; each alone when not given.
+        folds: indices of the experiments that are held out together; :func:`default_folds` when not given.
         samples: draws per round of a refit.
         options: how a refit searches.
+        progress: called with one line per fold.
 
     Returns:
-        One score per fold and model, models within folds. The sum over folds of one model is its score.
+        One score per fold and model, models within folds; see :func:`sum_over_folds`.
 
     Raises:
         InputDataError: if the fits are not weighed, or a fold is empty or holds all experiments.
     """
     batch = assimilation.batch
     count = len(batch.experiments)
-    folds = [[e] for e in range(count)] if folds is None else folds
+    folds = default_folds(count) if folds is None else folds
     for fold in folds:
         if not 0 < len(set(fold)) < count or not all(0 <= e < count for e in fold):
             raise InputDataError(f"Fold {list(fold)}: expected some, and not all, of the experiments 0 to {count - 1}.")
@@ -120,7 +133,29 @@ def cross_validate(
             for i, fit in zip(poor, again.fits, strict=True):
                 found[i] = _refitted(found[i][0], assimilation.fits[i], fit), True
         scores += [score for score, _ in found]
+        if progress:
+            progress(f"scores: held out {', '.join(scores[-1].held_out)}")
     return tuple(scores)
+
+
+def sum_over_folds(scores: Sequence[PredictiveScore]) -> tuple[PredictiveScore, ...]:
+    """The score of each model over all folds, in the order of the models."""
+    total: dict[str, PredictiveScore] = {}
+    for score in scores:
+        so_far = total.get(score.model)
+        total[score.model] = score if so_far is None else _add(so_far, score)
+    return tuple(total.values())
+
+
+def _add(first: PredictiveScore, second: PredictiveScore) -> PredictiveScore:
+    return replace(
+        first,
+        held_out=first.held_out + second.held_out,
+        value=first.value + second.value,
+        error=math.hypot(first.error, second.error),
+        pareto_k=max(first.pareto_k, second.pareto_k),
+        refitted=first.refitted or second.refitted,
+    )
 
 
 def _restricted(assimilation: Assimilation, models: Sequence[int], experiments: Sequence[int]) -> Assimilation:

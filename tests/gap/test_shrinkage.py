@@ -6,7 +6,7 @@ import torch
 from imr_torch.errors import InputDataError
 from imr_torch.gap.effects import LIBRARY
 from imr_torch.gap.hypotheses import Hypothesis
-from imr_torch.gap.shrinkage import Comparison, HeldOut, Shrinkage, _bootstrap, folds, held_out, shrinkage
+from imr_torch.gap.shrinkage import Comparison, HeldOut, Shrinkage, _bootstrap, held_out, shrinkage
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
 
@@ -67,13 +67,6 @@ def test_that_the_gap_is_the_squared_bias_whatever_the_repeats_and_the_nuisances
     for repeats in (1.0, 20.0):
         gaps = [_bootstrap({"none": [design(0.3, repeats, seed)]}, 0)[0]["none"] for seed in range(60)]
         assert sum(gaps) / 60 == pytest.approx(0.09, abs=0.05)
-
-
-def test_that_each_design_is_held_out_once_and_at_most_a_quarter_of_many_at_a_time() -> None:
-    for count in (2, 5, 6, 10):
-        groups = folds(count)
-        assert sorted(i for group in groups for i in group) == list(range(count))
-        assert max(len(group) for group in groups) <= max(1, math.ceil(count / 4))
 
 
 def test_that_a_fitted_nuisance_takes_a_shifted_clock_out_of_the_residual() -> None:

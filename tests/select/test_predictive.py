@@ -1,5 +1,7 @@
 """Held-out scores against differences of closed-form evidences."""
 
+import math
+
 import pytest
 import torch
 
@@ -7,7 +9,7 @@ from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate, weig
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Nuisance
-from imr_torch.select import cross_validate, predictive_density
+from imr_torch.select import cross_validate, default_folds, predictive_density, sum_over_folds
 from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
 
 OPTIONS = EnsembleOptions(scouts=24)
@@ -38,6 +40,19 @@ def test_that_scores_are_the_evidence_of_all_over_that_of_the_others(nuisance: N
         assert score.held_out == tuple(batch.experiments[e].label for e in fold)
         assert score.value == pytest.approx(truth, abs=4.0 * score.error)
         assert score.error < 0.15
+    newtonian, nhkv = sum_over_folds(scores)
+    assert (newtonian.model, nhkv.model) == ("newtonian", "nhkv")
+    assert newtonian.value == pytest.approx(sum(score.value for score in scores[::2]))
+    assert newtonian.error == pytest.approx(sum(score.error**2 for score in scores[::2]) ** 0.5)
+    assert sorted(nhkv.held_out) == sorted(experiment.label for experiment in batch.experiments)
+    assert newtonian.refitted == any(score.refitted for score in scores[::2])
+
+
+def test_that_each_experiment_is_held_out_once_and_at_most_a_quarter_of_many_at_a_time() -> None:
+    for count in (2, 5, 6, 10):
+        groups = default_folds(count)
+        assert sorted(i for group in groups for i in group) == list(range(count))
+        assert max(len(group) for group in groups) <= max(1, math.ceil(count / 4))
 
 
 def test_that_a_posterior_too_narrow_to_leave_data_out_is_refitted_and_one_that_is_not_costs_no_solve() -> None:
