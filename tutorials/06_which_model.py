@@ -11,7 +11,7 @@ import torch
 from imr_torch.assimilate import EnsembleOptions, assimilate, weigh
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
-from imr_torch.select import cross_validate, evidences, probability_errors, update
+from imr_torch.select import cross_validate, evidences, probability_errors, sum_over_folds, update
 from imr_torch.simulate import PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
@@ -57,14 +57,14 @@ print("errors of the probabilities:", {key: round(value, 4) for key, value in er
 # ## What each model foretells
 # Evidence leans on the prior: make it wider and the larger model loses. A held-out score does not, much: how probable was
 # each experiment, given the others? Reweighing gives it without simulation where the weights allow, a new fit elsewhere.
+# (`imr-torch characterize --scores` does this for your files.)
 
 # %%
 scores = cross_validate(fits, simulator, seed=0, options=options, samples=64 if SMOKE else 256)
 for score in scores:
     how = "fitted again" if score.refitted else "reweighed"
     print(f"{score.held_out[0]:24s} {score.model:10s} {score.value:9.2f} +- {score.error:.2f} nats ({how})")
-totals = {key: sum(s.value for s in scores if s.model == key) for key in prior.keys}
-print("in all:", {key: round(value, 1) for key, value in totals.items()})
+print("in all:", {total.model: round(total.value, 1) for total in sum_over_folds(scores)})
 
 # %% [markdown]
 # ## Is any of them right?
