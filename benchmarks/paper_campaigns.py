@@ -40,6 +40,7 @@ SEARCH = Optimal(Estimator(draws=16), batch=5)
 POLICIES: dict[str, DesignPolicy] = {"optimal": SEARCH, "random": Random()}
 MODES = ("exact", "paper")
 WITHIN, SURE, LEVEL = 0.01, 0.99, 0.9
+PRECISE = 0.02  # relative sd; an error below 1 % is chance while the sd is of that size
 COMPARED_AT = 3
 
 
@@ -169,6 +170,10 @@ def _close(row: Row) -> bool:
     return max(row.errors) <= WITHIN
 
 
+def _precise(row: Row) -> bool:
+    return max(row.sds) <= PRECISE
+
+
 def _first(rows: Sequence[Row], reached: Any) -> float:
     """Number of the first design at which something is reached; infinite when none."""
     return next((float(n) for n, row in enumerate(rows, start=1) if reached(row)), math.inf)
@@ -197,6 +202,7 @@ def summary(seeds: dict[int, list[Row]], cpu: Path) -> dict[str, Any]:
     rows, longest = list(seeds.values()), max(len(r) for r in seeds.values())
     until = [_first(r, _close) for r in rows]
     stays = [_for_good(r) for r in rows]
+    precise = [_first(r, _precise) for r in rows]
     sure = [_first(r, lambda row: row.probability > SURE) for r in rows]
     at = {n: [r[n - 1] for r in rows if len(r) >= n] for n in range(1, longest + 1)}
     timed = [json.loads(line) for line in cpu.read_text().splitlines()] if cpu.exists() else []
@@ -206,6 +212,7 @@ def summary(seeds: dict[int, list[Row]], cpu: Path) -> dict[str, Any]:
         "designs_of_each": sorted(len(r) for r in rows),
         "until_within_1_percent": _known(until),
         "until_within_1_percent_for_good": _known(stays),
+        "until_sd_below_2_percent": _known(precise),
         "until_sure": _known(sure),
         "wrong_model_sure": sum(any(row.probability < 1.0 - SURE for row in r) for r in rows),
         "by_design": {
@@ -242,14 +249,18 @@ def _policies(optimal: dict[int, list[Row]], random: dict[int, list[Row]]) -> di
     def against(value: Any, least: int) -> dict[str, Any] | None:
         return _against(optimal, random, lambda rows: value(rows) if len(rows) >= least else None)
 
+    def designs(until: Any) -> dict[str, Any] | None:
+        return against(lambda rows: min(until(rows), longest + 1.0), longest)
+
     def worst(rows: list[Row]) -> float:
         return math.log(max(rows[COMPARED_AT - 1].sds))
 
     volumes = {f"log volume after {n}": against(lambda rows, n=n: rows[n - 1].volume, n) for n in range(1, longest + 1)}
     return volumes | {
         f"log worst relative sd after {COMPARED_AT}": against(worst, COMPARED_AT),
-        "designs until within 1 %": against(lambda rows: min(_first(rows, _close), longest + 1.0), longest),
-        "designs until within 1 % for good": against(lambda rows: min(_for_good(rows), longest + 1.0), longest),
+        "designs until within 1 %": designs(lambda rows: _first(rows, _close)),
+        "designs until within 1 % for good": designs(_for_good),
+        "designs until every sd is below 2 %": designs(lambda rows: _first(rows, _precise)),
     }
 
 
