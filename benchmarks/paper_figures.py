@@ -118,7 +118,7 @@ def search(folder: Path, seeds: Sequence[int] = range(3)) -> None:
     The dearer one has four times the draws and asks for one design at a time; both ends are judged with 128 fresh common
     draws of each model.
     """
-    dear, judge = Optimal(Estimator(draws=64)), Estimator(draws=128)
+    dear, judge = Optimal(Estimator(draws=64), batch=1), Estimator(draws=128)
     campaigns = study(folder, CASE, "optimal", "exact")
 
     def compute(number: int, seed: int) -> dict[str, Any]:

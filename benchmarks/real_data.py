@@ -207,8 +207,8 @@ def _where(result: Characterization, best: ModelFit) -> list[str]:
 def table(rows: Iterable[dict[str, Any]]) -> str:
     """Markdown."""
     lines = [
-        "| set | curves | model, probability | G (kPa) | mu (Pa s) | alpha | RMSE in R* | noise scale, corr. time | trust | "
-        "held out, nats over the next | bubbles | what looks wrong |",
+        "| set | curves | model, probability | G (kPa) | mu (Pa s) | alpha | RMSE in R* "
+        "| noise: x published, least in R*, corr. time | trust | held out, nats over the next | bubbles | what looks wrong |",
         "|" + "---|" * 12,
     ]
     return "\n".join(lines + [_line(row) for row in rows])
@@ -217,7 +217,7 @@ def table(rows: Iterable[dict[str, Any]]) -> str:
 def _line(row: dict[str, Any]) -> str:
     if "failure" in row:
         return f"| {row['set']} | | {row['failure']} |" + " |" * 9
-    model = row["models"][row["best"]]
+    model, noise = row["models"][row["best"]], row["noise"]
     answer = (
         model["gaussian_answer"]
         .removeprefix("Gaussian answer ")
@@ -230,7 +230,7 @@ def _line(row: dict[str, Any]) -> str:
         ", ".join(f"{key} {p:.3f}" for key, p in sorted(row["model_probabilities"].items(), key=lambda kv: -kv[1]) if p > 0.02),
         *(_interval(model["intervals"].get(name), scale) for name, scale in (("G", 1e-3), ("mu", 1.0), ("alpha", 1.0))),
         f"{model['rmse']:.3f}",
-        f"{row['noise']['scale']:.2f}, {row['noise']['correlation_time']:g}",
+        f"{noise['scale']:.2f}, {noise['scale'] * noise['floor']:.4f}, {noise['correlation_time']:g}",
         answer.removesuffix(")") + ")",
         _score(row["scores"]),
         str(row["bubbles"]),

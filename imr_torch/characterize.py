@@ -1,8 +1,8 @@
 """Files in, properties out: what the curves of one gel say about its parameters and its constitutive model.
 
 All curves are fitted together, each with its own Rmax, time zero and R_inf as nuisances. The noise is first the published
-law; then its scale and correlation time are estimated from the residuals of the best model and the fit repeated, so that a
-model that misses the data pays with wider intervals instead of false precision.
+law; then its scale, constant part and correlation time are estimated from the residuals of the best model and the fit
+repeated, so that a model that misses the data pays with wider intervals instead of false precision.
 """
 
 import time
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate, weigh
+from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate_with_noise, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, ModelBelief, wide_prior
 from imr_torch.observe import (
@@ -22,7 +22,6 @@ from imr_torch.observe import (
     TraceSet,
     collapse_time,
     find_landmarks,
-    fit_noise,
     predict,
     to_experiment,
 )
@@ -41,7 +40,7 @@ from imr_torch.types import Progress
 
 LEVELS = (0.05, 0.5, 0.95)
 _IMPROBABLE = 3.0  # nats behind the best from which the draws of a model are not repaired
-_NOISE_ROUNDS = 2
+NOISE_ROUNDS = 2
 _MIN_FRAMES = 5
 _CURVES_LISTED = 10
 
@@ -100,10 +99,7 @@ class Characterization:
 
     def report(self) -> str:
         """The result as a table in plain words."""
-        lines = [
-            f"{len(self.experiments)} curve(s), noise scale {self.noise.scale:.2f} x published, "
-            f"correlation time {self.noise.correlation_time:g} in t*"
-        ]
+        lines = [f"{len(self.experiments)} curve(s); noise {self.noise}"]
         order = sorted(self.assimilation.fits, key=lambda f: -self.posterior.probabilities[f.model])
         errors = probability_errors(self.assimilation.prior, self.evidence)
         for fit in order:
@@ -211,12 +207,15 @@ def characterize(
     prior, noise = prior or wide_prior(), noise or Noise()
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     experiments, landmarks = prepare(traces, simulator, collapses=collapses, rest_radius=rest_radius)
-    rounds = _NOISE_ROUNDS if estimate_noise else 0
-    batch = ExperimentBatch(experiments, noise)
-    result = _fit(prior, batch, simulator, options, child(seed, "round", 0), None, progress)
-    for number in range(1, rounds + 1):
-        batch = ExperimentBatch(experiments, _noise_of(result))
-        result = _fit(prior, batch, simulator, options, child(seed, "round", number), result, progress)
+    result = assimilate_with_noise(
+        prior,
+        ExperimentBatch(experiments, noise),
+        simulator,
+        rounds=NOISE_ROUNDS if estimate_noise else 0,
+        seed=child(seed, "fit"),
+        options=options,
+        progress=progress,
+    )
     hopeless = options.hopeless if options and options.hopeless is not None else _IMPROBABLE
     result = weigh(result, simulator, seed=child(seed, "weigh"), hopeless=hopeless, progress=progress)
     evidence = evidences(result)
@@ -226,33 +225,6 @@ def characterize(
         own = child(seed, "scores")
         found = sum_over_folds(cross_validate(result, simulator, seed=own, options=options, progress=progress))
     return Characterization(experiments, landmarks, result, evidence, posterior, time.process_time() - started, found)
-
-
-def _fit(
-    prior: Belief,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    options: EnsembleOptions | None,
-    seed: int,
-    near: Assimilation | None,
-    progress: Progress | None,
-) -> Assimilation:
-    """One round: announce the noise, and assimilate."""
-    if progress:
-        progress(f"noise scale {batch.noise.scale:.2f}, correlation time {batch.noise.correlation_time:g}")
-    return assimilate(prior, batch, simulator, seed=seed, options=options, near=near, progress=progress)
-
-
-def _noise_of(result: Assimilation) -> Noise:
-    """Noise fitted to the residuals of the model of lowest cost."""
-    best, batch = min(result.fits, key=lambda fit: fit.cost), result.batch
-    residuals, predictions, times = [], [], []
-    for e in range(len(batch.experiments)):
-        rows = batch.mask[e]
-        residuals.append((batch.mean[e] - best.prediction[e])[rows])
-        predictions.append(best.prediction[e][rows])
-        times.append(batch.times[e][rows])
-    return fit_noise(batch.noise, residuals, predictions, times)
 
 
 def predictive_band(

@@ -8,12 +8,16 @@ import pytest
 import torch
 
 from imr_torch.cli import COMMANDS, main, parser
+from imr_torch.cli.campaign import settings_of
 from imr_torch.cli.common import simulator_of
-from imr_torch.material import reference_case
+from imr_torch.cli.design import plan_of
+from imr_torch.material import wide_prior
+from imr_torch.observe import Nuisance
 from imr_torch.simulate import ParallelSimulator, TransportSimulator
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "tutorials" / "data" / "example_gel.csv"
 TRUTH = {"G": 8310.0, "mu": 0.093}
+QUICK = ["--physics", "polytropic", "--quiet"]
 
 
 @pytest.fixture(autouse=True)
@@ -63,7 +67,7 @@ def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys
 
 
 def test_characterize_scores_models_by_curves_foretold_from_the_others(tmp_path, capsys):
-    arguments = ["characterize", str(EXAMPLE), "--models", "newtonian,nhkv", "--physics", "polytropic", "--scores", "--quiet"]
+    arguments = ["characterize", str(EXAMPLE), "--models", "newtonian,nhkv", "--scores", *QUICK]
     document = tmp_path / "result.json"
     assert main([*arguments, "--experiments", "shot_1,shot_3", "--json", str(document)]) == 0
     scores = json.loads(document.read_text())["scores"]
@@ -75,7 +79,7 @@ def test_characterize_scores_models_by_curves_foretold_from_the_others(tmp_path,
 def test_design_recommends_inside_the_space_and_draws_its_map(tmp_path):
     out = tmp_path / "next"
     options = ["--evaluations", "5", "--draws", "4", "--we-range", "200:400", "--policy", "qEI"]
-    assert main(["design", "--case", "soft-pa", *options, "--quiet", "--out", str(out)]) == 0
+    assert main(["design", "--case", "soft-pa", *options, *QUICK, "--out", str(out)]) == 0
     result = json.loads((out / "design.json").read_text())
     assert 200.0 <= result["design"]["We"] <= 400.0
     assert len(result["evaluations"]) == 5
@@ -86,7 +90,7 @@ def test_design_recommends_inside_the_space_and_draws_its_map(tmp_path):
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
     out = tmp_path_factory.mktemp("cli") / "demo"
-    arguments = ["campaign", "--case", "soft-pa", "--designs", "1", "--evaluations", "4", "--quiet", "--out", str(out)]
+    arguments = ["campaign", "--case", "soft-pa", "--designs", "1", "--evaluations", "4", *QUICK, "--out", str(out)]
     assert main(arguments) == 0
     return arguments, out
 
@@ -125,7 +129,7 @@ def test_campaign_shoots_a_list_and_stops_when_enough_is_known(tmp_path):
         "3",
         "--policy",
         "300:0.2,400:0.25",
-        "--quiet",
+        *QUICK,
         "--out",
         str(out),
     ]
@@ -138,7 +142,7 @@ def test_campaign_shoots_a_list_and_stops_when_enough_is_known(tmp_path):
 
 def test_campaign_learns_as_published_when_asked_to(tmp_path):
     out = tmp_path / "paper"
-    arguments = ["campaign", "--case", "soft-pa", "--designs", "1", "--evaluations", "3", "--method", "paper", "--quiet"]
+    arguments = ["campaign", "--case", "soft-pa", "--designs", "1", "--evaluations", "3", "--method", "paper", *QUICK]
     assert main([*arguments, "--out", str(out)]) == 0
     result = json.loads((out / "campaign.json").read_text())
     low, middle, high = result["intervals"]["nhkv"]["mu"]
@@ -168,7 +172,7 @@ def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, ca
     assert len(result["designs"]) == 1
     low, _, high = result["intervals"]["nhkv"]["G"]
     assert low < TRUTH["G"] < high
-    ending = ["campaign", "--models", "nhkv", "--policy", "space-filling", "--stop", "designs=1", "--quiet"]
+    ending = ["campaign", "--models", "nhkv", "--policy", "space-filling", "--stop", "designs=1", *QUICK]
     new = ["--repeats", "1", "--out", str(tmp_path / "other")]
     assert main([*ending, *new, *rest, "--tell", str(shot)]) == 0
     assert "Enough: 1 designs were shot" in capsys.readouterr().out
@@ -176,18 +180,34 @@ def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, ca
 
 def test_a_saved_belief_is_the_prior_of_the_next_design(tmp_path):
     saved = tmp_path / "belief.json"
-    reference_case("soft-pa").prior.save(saved)
-    shared = ["--evaluations", "3", "--draws", "3", "--quiet", "--json"]
+    wide_prior(("nhkv",)).save(saved)
+    shared = ["--evaluations", "3", "--draws", "3", *QUICK, "--json"]
     assert main(["design", "--belief", str(saved), *shared, str(tmp_path / "a.json")]) == 0
-    assert main(["design", "--case", "soft-pa", *shared, str(tmp_path / "b.json")]) == 0
+    assert main(["design", "--models", "nhkv", *shared, str(tmp_path / "b.json")]) == 0
     assert json.loads((tmp_path / "a.json").read_text()) == json.loads((tmp_path / "b.json").read_text())
 
 
+def test_that_a_reference_case_is_observed_as_published_and_a_gel_of_ones_own_as_in_a_laboratory():
+    published = plan_of(parser().parse_args(["design", "--case", "soft-pa"]))
+    assert (published.repeats, published.nuisance) == (100, Nuisance())
+    own = plan_of(parser().parse_args(["design", "--models", "nhkv"]))
+    assert own.repeats == 10
+    assert bool((own.nuisance.sds() > 0.0).all())
+    for gel in (["--case", "soft-pa"], ["--models", "nhkv"]):
+        assert plan_of(parser().parse_args(["design", *gel, "--repeats", "3"])).repeats == 3
+
+
+@pytest.mark.parametrize(("about", "rounds"), [(["--case", "soft-pa"], 0), (["--models", "nhkv"], 2)])
+def test_that_the_noise_of_told_files_is_estimated_and_that_of_a_simulated_camera_known(about, rounds):
+    learner = settings_of(parser().parse_args(["campaign", *about, "--out", "x"])).learner
+    assert learner.noise_rounds == rounds
+
+
 def test_workers_share_the_bubbles_of_a_design():
-    simulator = simulator_of(parser().parse_args(["design", "--physics", "transport", "--workers", "3"]))
+    simulator = simulator_of(parser().parse_args(["design", "--workers", "3"]))
     assert isinstance(simulator, ParallelSimulator)
     assert isinstance(simulator.simulator, TransportSimulator)
-    alone = simulator_of(parser().parse_args(["design", "--physics", "transport"]))
+    alone = simulator_of(parser().parse_args(["design"]))
     assert isinstance(alone, TransportSimulator)
 
 

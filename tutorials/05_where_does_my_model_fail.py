@@ -75,8 +75,7 @@ physics = PolytropicSimulator() if SMOKE else TransportSimulator()
 traces = load_traces(HERE / "data" / "example_gel.csv")
 curves, _ = prepare(traces.select(["shot_1"]) if SMOKE else traces, physics)
 noise = noise_of_traces(curves)
-constant = f"{noise.scale * noise.floor:.4f} in R*"
-print(f"noise {noise.scale:.2f} x published and {constant}, correlated over {noise.correlation_time:g} in t*")
+print(f"noise {noise}")
 report = diagnose(
     curves, effects=library(("rinf_bias", "clock", "heat_exchange")) if SMOKE else None, noise=noise, simulator=physics
 )

@@ -7,6 +7,7 @@ from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.assimilate.published import PublishedFit, PublishedOptions, as_one_curve, assimilate_published
 from imr_torch.assimilate.search import EnsembleOptions
 from imr_torch.assimilate.trust import weigh
+from imr_torch.assimilate.unknown_noise import assimilate_with_noise
 
 __all__ = [
     "Assimilation",
@@ -21,6 +22,7 @@ __all__ = [
     "as_one_curve",
     "assimilate",
     "assimilate_published",
+    "assimilate_with_noise",
     "ensemble_sensitivity",
     "normal_equations",
     "weigh",

@@ -12,10 +12,17 @@ from typing import Any, Protocol
 
 import torch
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, PublishedOptions, assimilate, assimilate_published, weigh
+from imr_torch.assimilate import (
+    Assimilation,
+    EnsembleOptions,
+    PublishedOptions,
+    assimilate_published,
+    assimilate_with_noise,
+    weigh,
+)
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, ModelBelief
-from imr_torch.observe import ExperimentBatch
+from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.random import child
 from imr_torch.select import Evidence, evidences, published_probabilities, update
 from imr_torch.simulate import Simulator
@@ -50,12 +57,14 @@ class Lesson:
         evidence: of each model, all experiments together; empty if the method knows none.
         record: what else the journal keeps, JSON-ready.
         assimilation: the fits; None if the method makes none to all experiments.
+        noise: of one curve, as the residuals have it; None if the method takes it as planned.
     """
 
     belief: Belief
     evidence: tuple[Evidence, ...] = ()
     record: dict[str, Any] = field(default_factory=dict)
     assimilation: Assimilation | None = None
+    noise: Noise | None = None
 
 
 class Learner(Protocol):
@@ -73,18 +82,26 @@ class ExactLearner:
     Args:
         samples: importance samples of each model and round, for evidence and moments.
         ensemble: how the assimilation searches.
+        noise_rounds: how often the noise is estimated from the residuals of all experiments, as measured curves want it; with 0
+            it is as planned.
     """
 
     samples: int = 256
     ensemble: EnsembleOptions = field(default_factory=EnsembleOptions)
+    noise_rounds: int = 0
+
+    def __post_init__(self) -> None:
+        if self.noise_rounds < 0:
+            raise InputDataError(f"ExactLearner.noise_rounds is {self.noise_rounds}; expected 0 or more.")
 
     def learn(self, harvest: Harvest, simulator: Simulator, *, progress: Progress | None = None) -> Lesson:
         """See :class:`Learner`."""
         number = len(harvest.batch.experiments)
-        result = assimilate(
+        result = assimilate_with_noise(
             harvest.prior,
             harvest.batch,
             simulator,
+            rounds=self.noise_rounds,
             seed=child(harvest.seed, "assimilate", number),
             options=self.ensemble,
             progress=progress,
@@ -95,7 +112,8 @@ class ExactLearner:
             "certificates": {fit.model: finite(asdict(fit.certificate)) for fit in result.fits},
             "gaussian_answer": {fit.model: fit.trust for fit in result.fits},
         }
-        return Lesson(update(result, evidence), evidence, record, result)
+        noise = result.batch.noise if self.noise_rounds else None
+        return Lesson(update(result, evidence), evidence, record, result, noise)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ stopped, with the same numbers bit for bit on one machine.
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from imr_torch.campaign.stopping import Standing, StoppingRule
 from imr_torch.design import DesignSearch, DesignSpace, Plan
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
-from imr_torch.observe import Experiment, ExperimentBatch, collapse_time
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, collapse_time
 from imr_torch.select import Evidence
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
@@ -76,12 +76,14 @@ class Step:
         belief: after this experiment.
         evidence: evidence of each model, all experiments together; empty if the learner knows none.
         assimilation: the fits; None when the step was read back from the journal, or the learner makes none.
+        noise: of one curve, if the learner estimates it.
     """
 
     number: int
     belief: Belief
     evidence: tuple[Evidence, ...]
     assimilation: Assimilation | None = None
+    noise: Noise | None = None
 
 
 class Campaign:
@@ -144,12 +146,19 @@ class Campaign:
                 self.experiments.append(self.journal.restore(event["record"]))
             elif event["event"] == "belief":
                 evidence = tuple(Evidence(**_infinite(entry)) for entry in event["evidence"])
-                self.steps.append(Step(event["step"], Belief.from_dict(event["belief"]), evidence))
+                noise = Noise(**event["noise"]) if event.get("noise") else None
+                self.steps.append(Step(event["step"], Belief.from_dict(event["belief"]), evidence, noise=noise))
 
     @property
     def belief(self) -> Belief:
         """What is thought of the gel now."""
         return self.steps[-1].belief if self.steps else self.prior
+
+    @property
+    def plan(self) -> Plan:
+        """How the next experiment will be observed: as the settings say, with the noise that was learnt so far."""
+        noise = self.steps[-1].noise if self.steps else None
+        return replace(self.settings.plan, noise=noise) if noise else self.settings.plan
 
     @property
     def _learnt(self) -> int:
@@ -172,7 +181,7 @@ class Campaign:
             design = torch.tensor(known["design"], dtype=torch.float64)
             return Proposal(number, design, known["gain"], known["gain_sd"])
         settings = self.settings
-        situation = Situation(number, self.belief, self.simulator, settings.space, settings.plan, self.seed)
+        situation = Situation(number, self.belief, self.simulator, settings.space, self.plan, self.seed)
         found = settings.policy.choose(situation, progress=progress)
         search = found.search
         tried = zip(search.gains, search.designs, strict=True) if search else ()
@@ -220,9 +229,10 @@ class Campaign:
             step=number,
             belief=lesson.belief.to_dict(),
             evidence=[finite(asdict(e)) for e in lesson.evidence],
+            noise=vars(lesson.noise) if lesson.noise else None,
             **lesson.record,
         )
-        self.steps.append(Step(number, lesson.belief, lesson.evidence, lesson.assimilation))
+        self.steps.append(Step(number, lesson.belief, lesson.evidence, lesson.assimilation, lesson.noise))
         return self.steps[-1]
 
     def _window(self, experiment: Experiment) -> Experiment:

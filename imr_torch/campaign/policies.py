@@ -96,10 +96,10 @@ class Optimal:
         plan: how the experiment will be observed, if not as the campaign says.
     """
 
-    estimator: Estimator = field(default_factory=lambda: Estimator(draws=48))
+    estimator: Estimator = field(default_factory=lambda: Estimator(draws=32))
     evaluations: int = 25
     initial: int = 10
-    batch: int = 1
+    batch: int = 5
     common: bool = True
     acquisition: Policy = field(default_factory=Policy)
     plan: Plan | None = None
@@ -148,7 +148,7 @@ class Optimal:
         return DesignSearch(best, designs, gains, optimizer)
 
 
-PAPER_OPTIMAL = Optimal(Estimator("paper", draws=500), common=False, acquisition=POLICIES["paper"], plan=PAPER_PLAN)
+PAPER_OPTIMAL = Optimal(Estimator("paper", draws=500), batch=1, common=False, acquisition=POLICIES["paper"], plan=PAPER_PLAN)
 """The search of arXiv 2409.00011: 1000 draws of both models a design, 10 + 15 designs, the best observed wins."""
 
 

@@ -30,6 +30,7 @@ from imr_torch.campaign import (
     Campaign,
     CampaignSettings,
     DesignPolicy,
+    ExactLearner,
     Fixed,
     Journal,
     Optimal,
@@ -37,7 +38,7 @@ from imr_torch.campaign import (
     SpaceFilling,
     stopping_rule,
 )
-from imr_torch.characterize import intervals, predictive_band, prepare
+from imr_torch.characterize import NOISE_ROUNDS, intervals, predictive_band, prepare
 from imr_torch.cli.common import (
     add_physics_argument,
     add_prior_arguments,
@@ -49,8 +50,7 @@ from imr_torch.cli.common import (
     simulator_of,
     write_result,
 )
-from imr_torch.cli.design import add_space_arguments, space_of
-from imr_torch.design import Plan
+from imr_torch.cli.design import add_space_arguments, plan_of, space_of
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS, ReferenceCase, reference_case
 from imr_torch.observe import Experiment, Layout, SimulatedLaboratory, load_traces
@@ -125,8 +125,10 @@ def run(args: argparse.Namespace) -> None:
 def settings_of(args: argparse.Namespace) -> CampaignSettings:
     """What the options say of choosing, learning and ending."""
     base = CampaignSettings.paper() if args.method == "paper" else CampaignSettings()
+    if args.method == "exact" and not args.case:
+        base = replace(base, learner=ExactLearner(noise_rounds=NOISE_ROUNDS))  # nobody knows the noise of a camera before
     policy = _policy(args.policy, base.policy, args.evaluations)
-    return replace(base, space=space_of(args), plan=Plan(repeats=args.repeats), policy=policy, stop=stopping_rule(*args.stop))
+    return replace(base, space=space_of(args), plan=plan_of(args), policy=policy, stop=stopping_rule(*args.stop))
 
 
 def _policy(text: str, optimal: DesignPolicy, evaluations: int) -> DesignPolicy:
@@ -144,7 +146,10 @@ def _policy(text: str, optimal: DesignPolicy, evaluations: int) -> DesignPolicy:
 def _simulated(campaign: Campaign, case: ReferenceCase, args: argparse.Namespace) -> None:
     """Shoot the secret gel of a reference case."""
     laboratory = SimulatedLaboratory(
-        campaign.simulator, PARAMETERS.pack(case.truth), noise=campaign.settings.plan.noise, repeats=args.repeats
+        campaign.simulator,
+        PARAMETERS.pack(case.truth),
+        noise=campaign.settings.plan.noise,
+        repeats=campaign.settings.plan.repeats,
     )
     progress = progress_of(args)
 

@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also hold curves out and score how well each model foretells them from the others",
     )
     parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
-    add_physics_argument(parser, default="transport")
+    add_physics_argument(parser)
     add_prior_arguments(parser)
 
 

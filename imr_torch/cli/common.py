@@ -42,14 +42,13 @@ def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_physics_argument(parser: argparse.ArgumentParser, *, default: str = "polytropic") -> None:
+def add_physics_argument(parser: argparse.ArgumentParser) -> None:
     """The option that chooses the simulator."""
     parser.add_argument(
         "--physics",
         choices=tuple(SIMULATORS),
-        default=default,
-        help="transport of heat and vapour, as in real bubbles, or polytropic gas, some 20 times faster and biased "
-        f"(default {default})",
+        default="transport",
+        help="transport of heat and vapour, as in real bubbles (default), or polytropic gas, some 20 times faster and biased",
     )
 
 

@@ -29,8 +29,12 @@ from imr_torch.design import (
     Plan,
     search_design,
 )
+from imr_torch.observe import Nuisance
 from imr_torch.plot import plot_information
 
+_PUBLISHED_REPEATS, _REPEATS = 100, 10
+_MEASURED = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)  # of curves filmed in a laboratory
+_BATCH = 5  # designs that are asked for and simulated together
 NAME = "design"
 SUMMARY = "the most informative next experiment"
 
@@ -42,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--estimator", choices=get_args(Method), default="laplace", help="of the information gain (default laplace)"
     )
-    parser.add_argument("--draws", type=int, default=64, help="draws per model of each estimate (default 64)")
+    parser.add_argument("--draws", type=int, default=32, help="draws per model of each estimate (default 32)")
     parser.add_argument("--out", metavar="DIR", help="folder for the map and JSON")
     add_physics_argument(parser)
     add_workers_argument(parser)
@@ -53,7 +57,9 @@ def add_space_arguments(parser: argparse.ArgumentParser) -> None:
     """Options for the designs a laboratory can shoot and how it will observe them."""
     parser.add_argument("--we-range", default="100:1000", metavar="LOW:HIGH", help="Weber numbers (default 100:1000)")
     parser.add_argument("--rinf-range", default="0.14:0.30", metavar="LOW:HIGH", help="R_inf/Rmax (default 0.14:0.30)")
-    parser.add_argument("--repeats", type=int, default=100, help="curves per design (default 100)")
+    parser.add_argument(
+        "--repeats", type=int, help="curves per design (default 100 with --case, as in the literature, else 10)"
+    )
     parser.add_argument("--evaluations", type=int, default=25, help="designs evaluated in each search (default 25)")
 
 
@@ -63,6 +69,13 @@ def space_of(args: argparse.Namespace) -> DesignSpace:
     assert weber is not None
     assert rest is not None
     return DesignSpace(weber, rest)
+
+
+def plan_of(args: argparse.Namespace) -> Plan:
+    """How experiments will be observed: a reference case as published, a gel of one's own as laboratories measure."""
+    if args.case:
+        return Plan(repeats=_PUBLISHED_REPEATS if args.repeats is None else args.repeats)
+    return Plan(repeats=_REPEATS if args.repeats is None else args.repeats, nuisance=_MEASURED)
 
 
 def search_to_dict(search: DesignSearch) -> list[dict[str, float]]:
@@ -80,13 +93,14 @@ def run(args: argparse.Namespace) -> None:
     """Search and report."""
     simulator, space = simulator_of(args), space_of(args)
     acquisition = ExpectedInformationGain(
-        prior_of(args), simulator, plan=Plan(repeats=args.repeats), space=space, estimator=Estimator(args.estimator, args.draws)
+        prior_of(args), simulator, plan=plan_of(args), space=space, estimator=Estimator(args.estimator, args.draws)
     )
     search = search_design(
         acquisition,
         seed=args.seed,
         evaluations=args.evaluations,
         initial=min(10, args.evaluations),
+        batch=_BATCH,
         policy=POLICIES[args.policy],
         progress=progress_of(args),
     )

@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--collapses", type=int, default=2, help="collapses in the window of a curve (default 2)")
     parser.add_argument("--noise", choices=("estimated", "published"), help="default: published for sets, estimated for curves")
     parser.add_argument("--html", metavar="FILE", help="write the report with its figures as one HTML file")
-    add_physics_argument(parser, default="transport")
+    add_physics_argument(parser)
     add_workers_argument(parser)
 
 
@@ -140,6 +140,5 @@ def _noise(args: argparse.Namespace, experiments: Sequence[Experiment]) -> Noise
     if (args.noise or known) == "published":
         return Noise()
     noise = noise_of_traces(experiments)
-    constant = f"{noise.scale * noise.floor:.4f} in R*"
-    print(f"noise {noise.scale:.2f} x published and {constant}, correlated over {noise.correlation_time:g} in t*\n")
+    print(f"noise {noise}\n")
     return noise

@@ -2,7 +2,7 @@
 
 The law of Chu, Estrada & Bryngelson (arXiv 2409.00011) is ``sigma = |R* - 1|/50 + t*/160``; it vanishes at ``t* = 0``, so
 a floor is added in quadrature. Real residuals are larger and correlated in time, because a fit of a wrong model errs
-smoothly; :func:`fit_noise` estimates a common scale and a correlation time from them by maximum likelihood.
+smoothly; :func:`fit_noise` estimates scale, floor and correlation time from them by maximum likelihood.
 """
 
 import math
@@ -14,6 +14,8 @@ from torch import Tensor
 from imr_torch.errors import InputDataError
 
 _CORRELATION_TIMES = (0.0, 0.02, 0.04, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4)
+_TIE = 1e-6  # nats; a law without slope and drift has the same likelihood at every floor
+_FLOORS = (1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 16.0, 25.0)  # times the floor of the law, at its scale
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,12 @@ class Noise:
             positive = name in ("scale", "floor")
             if not (0.0 <= value < math.inf) or (positive and value == 0.0):
                 raise InputDataError(f"Noise.{name} is {value}; expected a finite number {'> 0' if positive else '>= 0'}.")
+
+    def __str__(self) -> str:
+        correlated = (
+            f"correlated over {self.correlation_time:g} in t*" if self.correlation_time else "independent between frames"
+        )
+        return f"{self.scale:.2f} x the published law with {self.scale * self.floor:.4f} in R* everywhere, {correlated}"
 
     def sd(self, radius: Tensor, times: Tensor) -> Tensor:
         """Standard deviation of one frame; arguments dimensionless and broadcastable."""
@@ -70,33 +78,42 @@ class Noise:
         return radius + self.sd(radius, times) * noise
 
 
-def fit_noise(noise: Noise, residuals: list[Tensor], predictions: list[Tensor], times: list[Tensor]) -> Noise:
-    """Maximum-likelihood scale and correlation time of residuals, keeping the shape of ``noise``.
+def fit_noise(
+    noise: Noise, residuals: list[Tensor], predictions: list[Tensor], times: list[Tensor], *, fitted: float = 0.0
+) -> Noise:
+    """Maximum-likelihood scale, floor and correlation time of residuals; slope and drift keep their proportion.
+
+    The floor is that of the law or more: what pixels add is the same at every radius, and a law that says less than they do
+    where the bubble is large and slow gives those frames a weight they do not have.
 
     Args:
-        noise: the law whose shape is kept.
+        noise: the law to begin with.
         residuals: one ``n_t`` tensor per experiment, observed minus predicted R*.
         predictions: the predicted R* of each.
         times: their times, dimensionless.
+        fitted: parameters that were fitted to these data, which took as many degrees of freedom out of the residuals.
 
     Returns:
-        The law with its ``scale`` and ``correlation_time`` replaced.
+        The law with its ``scale``, ``floor`` and ``correlation_time`` replaced.
     """
-    unit = replace(noise, scale=1.0, correlation_time=0.0)
-    count = sum(r.numel() for r in residuals)
+    frames = sum(r.numel() for r in residuals)
+    free = max(frames - fitted, 0.1 * frames)  # of very few frames a fit leaves next to nothing
     best: tuple[float, Noise] | None = None
     for correlation_time in _CORRELATION_TIMES:
-        law = replace(unit, correlation_time=correlation_time)
-        square, log_det = 0.0, 0.0
-        for residual, prediction, t in zip(residuals, predictions, times, strict=True):
-            whitened = residual / unit.sd(prediction, t)
-            factor = law.decorrelation(t[None], torch.ones_like(t[None], dtype=torch.bool))
-            if factor is not None:
-                whitened = factor[0] @ whitened
-                log_det -= 2.0 * float(factor[0].diagonal().log().sum())
-            square += float(whitened.square().sum())
-        cost = 0.5 * count * math.log(square / count) + 0.5 * log_det
-        if best is None or cost < best[0]:
-            best = cost, replace(law, scale=math.sqrt(square / count))
+        unit = replace(noise, scale=1.0, correlation_time=correlation_time)
+        factors = [unit.decorrelation(t[None], torch.ones_like(t[None], dtype=torch.bool)) for t in times]
+        for factor in _FLOORS:
+            law = replace(unit, floor=factor * noise.floor)
+            square, log_sd = 0.0, 0.0
+            for residual, prediction, t, decorrelation in zip(residuals, predictions, times, factors, strict=True):
+                sd = law.sd(prediction, t)
+                whitened, log_sd = residual / sd, log_sd + float(sd.log().sum())
+                if decorrelation is not None:
+                    whitened = decorrelation[0] @ whitened
+                    log_sd -= float(decorrelation[0].diagonal().log().sum())
+                square += float(whitened.square().sum())
+            cost = 0.5 * frames * math.log(square) + log_sd
+            if best is None or cost < best[0] - _TIE:
+                best = cost, replace(law, scale=math.sqrt(square / free))
     assert best is not None
     return best[1]

@@ -2,16 +2,17 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
 import torch
 
 from imr_torch.assimilate import EnsembleOptions
-from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Journal, Optimal
+from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Journal, Optimal, Random
 from imr_torch.design import Estimator, Plan
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS, Belief, reference_case
-from imr_torch.observe import Experiment, Nuisance, SimulatedLaboratory
+from imr_torch.observe import Experiment, Noise, Nuisance, SimulatedLaboratory
 from imr_torch.random import child
 from imr_torch.simulate import PolytropicSimulator, Stepping
 
@@ -134,6 +135,18 @@ def test_the_achieved_design_is_what_is_learnt_from(tmp_path):
     part = step.belief["nhkv"]
     for name, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
         assert abs(mean - CASE.truth[name]) < 4.0 * sd
+
+
+def test_noise_that_was_learnt_is_in_the_journal_and_is_what_the_next_design_expects(tmp_path):
+    louder = SimulatedLaboratory(SIMULATOR, LABORATORY.truth, repeats=20, times=TIMES, noise=Noise(scale=4.0))
+    settings = replace(SETTINGS, policy=Random(), learner=replace(SETTINGS.learner, noise_rounds=2))
+    run = campaign(tmp_path / "loud", settings=settings)
+    assert run.plan == settings.plan
+    step = run.tell(louder.shoot(torch.tensor([400.0, 0.2], dtype=torch.float64), seed=0))
+    assert step.noise.scale == pytest.approx(4.0, rel=0.35)  # some 20 frames of a mean curve
+    again = campaign(tmp_path / "loud", settings=settings)
+    assert again.plan.noise == run.plan.noise == step.noise
+    assert again.plan.repeats == settings.plan.repeats
 
 
 def test_telling_nothing_is_refused(tmp_path):

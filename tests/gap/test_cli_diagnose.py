@@ -76,7 +76,7 @@ def test_that_a_set_has_the_published_noise_however_few_its_repeats(options, wor
         arrays = dict(document)
     np.savez(tmp_path / "one.npz", **arrays | {"radius_m": arrays["radius_m"][:, :1]})
     assert main(["diagnose", str(tmp_path / "one.npz"), *FAST, *options]) == 0
-    assert ("x published" in capsys.readouterr().out) is words
+    assert ("x the published law" in capsys.readouterr().out) is words
 
 
 @pytest.fixture

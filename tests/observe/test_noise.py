@@ -108,7 +108,30 @@ def test_that_a_fit_recovers_scale_and_correlation(scale: float, tau: float) -> 
     nodes = _CORRELATION_TIMES
     assert abs(nodes.index(found.correlation_time) - nodes.index(tau)) <= (tau > 0.0)
     assert found.scale == pytest.approx(scale, rel=0.15 if tau else 0.06)
-    assert (found.floor, found.slope, found.drift) == (noise.floor, noise.slope, noise.drift)
+    assert noise.floor <= found.floor <= 1.5 * noise.floor
+    assert (found.slope, found.drift) == (noise.slope, noise.drift)
+
+
+@pytest.mark.parametrize("pixels", [0.003, 0.01])
+def test_that_a_fit_finds_noise_that_is_the_same_at_every_radius(pixels: float) -> None:
+    """A camera of some pixels beside .2 of the published law: what is constant is found, and the law is not made to bear it."""
+    times = [0.03 * torch.arange(60, dtype=torch.float64) + 0.001 * i for i in range(40)]
+    truth = [curve(t) for t in times]
+    noise, source = Noise(scale=0.2, floor=pixels / 0.2), generator(7)
+    residuals = [noise.draw(r, t, 1, generator=source)[0] - r for r, t in zip(truth, times, strict=True)]
+    found = fit_noise(Noise(), residuals, truth, times)
+    assert found.scale * found.floor == pytest.approx(pixels, rel=0.1)
+    assert found.scale < 0.5
+
+
+def test_that_fitted_parameters_count() -> None:
+    times = [frames(40)]
+    residuals = [Noise().draw(curve(t), t, 1, generator=generator(2))[0] - curve(t) for t in times]
+    known, fitted = (fit_noise(Noise(), residuals, [curve(times[0])], times, fitted=k) for k in (0.0, 10.0))
+    assert replace(fitted, scale=known.scale) == known
+    assert fitted.scale == pytest.approx(known.scale * (40.0 / 30.0) ** 0.5, rel=1e-9)
+    few = fit_noise(Noise(), residuals, [curve(times[0])], times, fitted=45.0)
+    assert few.scale == pytest.approx(known.scale * 10.0**0.5, rel=1e-9)
 
 
 def test_that_the_fitted_law_is_the_most_likely_one_of_its_grid() -> None:
@@ -130,9 +153,10 @@ def test_that_the_fitted_law_is_the_most_likely_one_of_its_grid() -> None:
     best = log_density(found)
     for factor in (0.97, 1.03):
         assert log_density(replace(found, scale=factor * found.scale)) < best
-    for tau in set(_CORRELATION_TIMES) - {found.correlation_time}:
-        for scale in torch.linspace(0.8, 3.0, 23).tolist():
-            assert log_density(Noise(scale=scale, correlation_time=tau)) < best
+    for floor in (0.002, 0.0044, 0.01):
+        for tau in set(_CORRELATION_TIMES) - {found.correlation_time}:
+            for scale in torch.linspace(0.8, 3.0, 23).tolist():
+                assert log_density(Noise(scale=scale, floor=floor, correlation_time=tau)) < best
 
 
 def test_that_the_inputs_of_a_fit_are_not_changed() -> None:

@@ -1,0 +1,72 @@
+"""Fits to measured curves, whose noise is not known before: it is estimated from the residuals.
+
+First the fits are made with the law as given, then again with what the residuals of the best model say, so that a model that
+misses the data pays with wider intervals instead of false precision.
+"""
+
+import torch
+
+from imr_torch.assimilate.en4dvar import assimilate
+from imr_torch.assimilate.fit import Assimilation, ModelFit
+from imr_torch.assimilate.search import EnsembleOptions
+from imr_torch.material import Belief
+from imr_torch.observe import ExperimentBatch, Noise, fit_noise
+from imr_torch.random import child
+from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
+
+
+def assimilate_with_noise(
+    belief: Belief,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    rounds: int,
+    seed: int,
+    options: EnsembleOptions | None = None,
+    progress: Progress | None = None,
+) -> Assimilation:
+    """:func:`assimilate`, and again with the noise that the residuals suggest.
+
+    Args:
+        belief: prior; not changed.
+        batch: the experiments; the first fits are made with their noise (see :func:`imr_torch.observe.fit_noise`).
+        simulator: makes the bubbles.
+        rounds: how often the noise is estimated and the fits made again; with 0 it is as given.
+        seed: of scouts and ensembles.
+        options: how to search.
+        progress: called with one line per iteration.
+
+    Returns:
+        The last fits; their batch has the noise that they were made with.
+    """
+    law = batch.noise
+    result = assimilate(belief, batch, simulator, seed=seed, options=options, progress=progress)
+    for number in range(1, rounds + 1):
+        batch = ExperimentBatch(batch.experiments, noise_of_residuals(result, law))
+        if progress:
+            progress(f"noise {batch.noise}")
+        own = child(seed, "round", number)
+        result = assimilate(belief, batch, simulator, seed=own, options=options, near=result, progress=progress)
+    return result
+
+
+def noise_of_residuals(result: Assimilation, law: Noise) -> Noise:
+    """Noise of one curve, a law fitted to the residuals of the model of lowest cost."""
+    best, batch = min(result.fits, key=lambda fit: fit.cost), result.batch
+    residuals, predictions, times = [], [], []
+    for e, experiment in enumerate(batch.experiments):
+        frames = batch.mask[e]
+        missed = (batch.mean[e] - best.prediction[e])[frames]
+        residuals.append(missed * experiment.repeats**0.5)  # the mean of n curves errs by that of one over sqrt(n)
+        predictions.append(best.prediction[e][frames])
+        times.append(batch.times[e][frames])
+    return fit_noise(law, residuals, predictions, times, fitted=_freedom(best, batch))
+
+
+def _freedom(fit: ModelFit, batch: ExperimentBatch) -> float:
+    """Degrees of freedom that a fit took: its controls and nuisances, each as far as the data told more than the prior."""
+    gel = len(fit.mean) - float(fit.chol.square().sum())
+    uncertain = batch.nuisance_sds > 0.0
+    left = torch.cholesky_inverse(fit.nuisance_chol).diagonal(dim1=-2, dim2=-1)
+    return max(gel, 0.0) + float((1.0 - left)[uncertain].clamp_min(0.0).sum())

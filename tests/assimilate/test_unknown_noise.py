@@ -1,0 +1,56 @@
+"""Fits that estimate the noise: its scale is found whatever the repeats, and a model that misses the data pays for it."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from imr_torch.assimilate import EnsembleOptions, assimilate_with_noise
+from imr_torch.observe import Experiment, ExperimentBatch
+from tests.linear import NOISE, LinearSimulator, prior, tensor
+
+OPTIONS = EnsembleOptions(scouts=24, starts=2)
+TIMES = torch.linspace(0.0, 2.0, 60, dtype=torch.float64)
+DESIGNS = ((200.0, 0.2), (500.0, 0.25), (900.0, 0.15))
+
+
+def filmed(scale: float, repeats: int, correlation_time: float = 0.0) -> ExperimentBatch:
+    """Experiments on a gel of stiffness 5600 Pa, their noise a multiple of the law that the batch states."""
+    source = torch.Generator().manual_seed(repeats)
+    parameters = LinearSimulator()
+    belief = prior(("nhkv",)).models[0]
+    gel = belief.parameters(tensor(0.5, -0.3))
+    noise = replace(NOISE, scale=scale, correlation_time=correlation_time)
+    experiments = []
+    for design in DESIGNS:
+        truth = parameters(gel, tensor(*design), TIMES).radius
+        experiments.append(Experiment(f"We {design[0]}", design, TIMES, noise.draw(truth, TIMES, repeats, generator=source)))
+    return ExperimentBatch(tuple(experiments), NOISE)
+
+
+def fitted(batch: ExperimentBatch, rounds: int, models: tuple[str, ...] = ("nhkv",)):
+    return assimilate_with_noise(prior(models), batch, LinearSimulator(), rounds=rounds, seed=0, options=OPTIONS)
+
+
+@pytest.mark.parametrize("repeats", [1, 8])
+def test_that_the_scale_is_found_and_intervals_widen_with_it(repeats: int) -> None:
+    batch = filmed(3.0, repeats)
+    stated, found = fitted(batch, 0), fitted(batch, 2)
+    assert stated.batch.noise == NOISE
+    assert found.batch.noise.scale == pytest.approx(3.0, rel=0.15)  # 180 residuals: 5 % by chance
+    assert found.batch.noise.floor == NOISE.floor
+    wider = (found["nhkv"].chol.diagonal() / stated["nhkv"].chol.diagonal()).mean()
+    assert float(wider) == pytest.approx(3.0, rel=0.2)
+
+
+def test_that_a_correlation_time_is_found() -> None:
+    noise = fitted(filmed(1.0, 1, correlation_time=0.2), 2).batch.noise
+    assert 0.1 <= noise.correlation_time <= 0.4
+
+
+def test_that_a_model_that_misses_the_data_has_its_misfit_for_noise() -> None:
+    batch = filmed(1.0, 8)
+    wrong, right = (fitted(batch, 2, (model,)).batch.noise.scale for model in ("newtonian", "nhkv"))
+    assert right == pytest.approx(1.0, rel=0.15)
+    assert wrong > 2.0 * right
+    assert fitted(batch, 2, ("newtonian", "nhkv")).batch.noise.scale == pytest.approx(right, rel=1e-3)
