@@ -11,12 +11,13 @@ from imr_torch.cli import COMMANDS, main, parser
 from imr_torch.cli.campaign import settings_of
 from imr_torch.cli.common import simulator_of
 from imr_torch.cli.design import plan_of
-from imr_torch.material import wide_prior
+from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import Nuisance
-from imr_torch.simulate import ParallelSimulator, TransportSimulator
+from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "tutorials" / "data" / "example_gel.csv"
 TRUTH = {"G": 8310.0, "mu": 0.093}
+TABLE = "experiment_id,time_s,radius_m\n"
 QUICK = ["--physics", "polytropic", "--quiet"]
 
 
@@ -154,15 +155,25 @@ def test_campaign_learns_as_published_when_asked_to(tmp_path):
     assert asked["gain"] == max(row["parameters"] + row["model"] for row in asked["evaluations"]) < 6.91  # log 1000
 
 
+def shot_csv(path):
+    """A bubble of polytropic gas in a gel of TRUTH as a camera of .003 in R* films it; R_inf* is .21."""
+    simulator, source = PolytropicSimulator(), torch.Generator().manual_seed(3)
+    surroundings = simulator.conditions.surroundings
+    times = torch.arange(1, 75, dtype=torch.float64) * 1e-6
+    design = torch.tensor([surroundings.weber(300e-6), 0.21], dtype=torch.float64)
+    radius = simulator(PARAMETERS.pack(TRUTH), design, times / surroundings.time_scale(300e-6)).radius
+    filmed = radius + 0.003 * torch.randn(len(times), generator=source, dtype=torch.float64)
+    rows = (f"a,{t:.4e},{r:.5e}\n" for t, r in zip(times.tolist(), (300e-6 * filmed).tolist(), strict=True))
+    path.write_text(TABLE + "".join(rows))
+
+
 def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, capsys):
-    out = tmp_path / "gel"
-    base = ["campaign", "--models", "nhkv", "--evaluations", "4", "--repeats", "1", "--quiet", "--out", str(out)]
+    out, shot = tmp_path / "gel", tmp_path / "shot.csv"
+    shot_csv(shot)
+    base = ["campaign", "--models", "nhkv", "--evaluations", "4", "--repeats", "1", *QUICK, "--out", str(out)]
     assert main(base) == 0
     first = capsys.readouterr().out
     assert "Shoot next: We = " in first
-    shot = tmp_path / "shot.csv"
-    lines = EXAMPLE.read_text().splitlines(keepends=True)
-    shot.write_text(lines[0] + "".join(line for line in lines if line.startswith("shot_2")))
     rest = ["--rest-radius", "0.21:0.005"]
     assert main([*base, *rest, "--resume", "--tell", str(shot)]) == 0
     second = capsys.readouterr().out
@@ -211,7 +222,6 @@ def test_workers_share_the_bubbles_of_a_design():
     assert isinstance(alone, TransportSimulator)
 
 
-TABLE = "experiment_id,time_s,radius_m\n"
 CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i in range(40))
 
 
