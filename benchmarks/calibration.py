@@ -31,9 +31,10 @@ from imr_torch.calibration import (
     reliability,
     uniformity,
 )
+from imr_torch.characterize import NOISE_ROUNDS
 from imr_torch.design import DesignSpace, Estimator, Plan, expected_information_gain
 from imr_torch.material import reference_case
-from imr_torch.observe import Experiment, ExperimentBatch, Nuisance
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
 from imr_torch.plot import plot_places, plot_reliability
 from imr_torch.random import child
 from imr_torch.simulate import PolytropicSimulator, Simulator, TransportSimulator
@@ -41,7 +42,8 @@ from imr_torch.simulate import PolytropicSimulator, Simulator, TransportSimulato
 DESIGNS = {"stiff-pa": (900.0, 0.28), "soft-pa": (400.0, 0.22)}
 SIMULATORS = {"polytropic": PolytropicSimulator, "full": TransportSimulator}
 UNCERTAIN = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)
-VARIANTS = ("default", "quick", "nuisances", "halved-noise", "tempered")
+PIXELS = Noise(scale=0.2, floor=0.015)  # .003 in R* everywhere
+VARIANTS = ("default", "quick", "nuisances", "unknown-noise", "pixels", "halved-noise", "tempered")
 _QUICK = 64  # draws: for means over many designs, where each need not be exact
 ANSWERS = {"gaussian": "Gaussian answer", "reported": "what is reported", "weighed": "weighed draws"}
 LEVELS = (0.5, 0.9)
@@ -66,14 +68,25 @@ class Job:
     @property
     def plan(self) -> Plan:
         """How the truth is observed."""
-        return Plan(repeats=self.repeats, nuisance=UNCERTAIN if self.variant == "nuisances" else Nuisance())
+        uncertain = self.variant in ("nuisances", "unknown-noise", "pixels")
+        noise = PIXELS if self.variant == "pixels" else Noise()
+        return Plan(repeats=self.repeats, noise=noise, nuisance=UNCERTAIN if uncertain else Nuisance())
 
     @property
     def arrangement(self) -> Arrangement:
         """What is calibrated."""
-        wrong = {"halved-noise": self._overconfident, "tempered": self._tempered}.get(self.variant)
-        whole = Arrangement(reference_case(self.case).prior, self.design, self.plan, learn=wrong)
+        other = {
+            "halved-noise": self._overconfident,
+            "tempered": self._tempered,
+            "pixels": self._as_published,
+        }.get(self.variant)
+        rounds = NOISE_ROUNDS if self.variant in ("unknown-noise", "pixels") else 0
+        whole = Arrangement(reference_case(self.case).prior, self.design, self.plan, learn=other, noise_rounds=rounds)
         return replace(whole, samples=_QUICK) if self.variant == "quick" else whole
+
+    def _as_published(self, experiment: Experiment) -> ExperimentBatch:
+        """The published law, from which the noise is then estimated."""
+        return ExperimentBatch((experiment,), Noise())
 
     def _overconfident(self, experiment: Experiment) -> ExperimentBatch:
         return ExperimentBatch((experiment,), replace(self.plan.noise, scale=0.5 * self.plan.noise.scale))

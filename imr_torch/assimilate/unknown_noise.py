@@ -24,6 +24,7 @@ def assimilate_with_noise(
     rounds: int,
     seed: int,
     options: EnsembleOptions | None = None,
+    warn: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:
     """:func:`assimilate`, and again with the noise that the residuals suggest.
@@ -35,19 +36,20 @@ def assimilate_with_noise(
         rounds: how often the noise is estimated and the fits made again; with 0 it is as given.
         seed: of scouts and ensembles.
         options: how to search.
+        warn: as for :func:`assimilate`.
         progress: called with one line per iteration.
 
     Returns:
         The last fits; their batch has the noise that they were made with.
     """
     law = batch.noise
-    result = assimilate(belief, batch, simulator, seed=seed, options=options, progress=progress)
+    result = assimilate(belief, batch, simulator, seed=seed, options=options, warn=warn, progress=progress)
     for number in range(1, rounds + 1):
         batch = ExperimentBatch(batch.experiments, noise_of_residuals(result, law))
         if progress:
             progress(f"noise {batch.noise}")
         own = child(seed, "round", number)
-        result = assimilate(belief, batch, simulator, seed=own, options=options, near=result, progress=progress)
+        result = assimilate(belief, batch, simulator, seed=own, options=options, near=result, warn=warn, progress=progress)
     return result
 
 

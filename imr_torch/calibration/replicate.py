@@ -17,7 +17,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, ImportanceSample, ModelFit, assimilate, weigh
+from imr_torch.assimilate import Assimilation, EnsembleOptions, ImportanceSample, ModelFit, assimilate_with_noise, weigh
 from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError
 from imr_torch.material import Belief
@@ -42,7 +42,8 @@ class Arrangement:
         samples: weighed draws of each model and round.
         options: how the assimilation searches.
         learn: what the inference is given of an experiment; the data with their own noise when not given. For inferences
-            that are wrong, to see that this is found.
+            that are wrong, to see that this is found, or know less.
+        noise_rounds: how often the inference estimates the noise from its residuals.
     """
 
     prior: Belief
@@ -51,6 +52,7 @@ class Arrangement:
     samples: int = 256
     options: EnsembleOptions = field(default_factory=EnsembleOptions)
     learn: Learn | None = None
+    noise_rounds: int = 0
 
 
 @dataclass(frozen=True)
@@ -133,8 +135,15 @@ def _replicate(arrangement: Arrangement, number: int, seed: int, simulator: Simu
     learn = arrangement.learn or partial(_as_it_is, noise=arrangement.plan.noise)
     batch = learn(truth.experiment)
     try:
-        own = child(seed, "fit")
-        fitted = assimilate(arrangement.prior, batch, simulator, seed=own, options=arrangement.options, warn=False)
+        fitted = assimilate_with_noise(
+            arrangement.prior,
+            batch,
+            simulator,
+            rounds=arrangement.noise_rounds,
+            seed=child(seed, "fit"),
+            options=arrangement.options,
+            warn=False,
+        )
         result = weigh(fitted, simulator, seed=child(seed, "weigh"), samples=arrangement.samples)
     except ConvergenceError as error:
         return Replicate(number, truth.model, redrawn=truth.redrawn, failure=str(error))
@@ -148,7 +157,7 @@ def _replicate(arrangement: Arrangement, number: int, seed: int, simulator: Simu
     z_reported = (at - reported.mean) / torch.linalg.norm(reported.chol, dim=1)
     above = truth.controls - sample.controls
     known = not bool((batch.nuisance_sds > 0.0).any())
-    likely = sample.by_experiment.sum(1) - float(batch.log_likelihood(truth.curve).sum()) if known else None
+    likely = sample.by_experiment.sum(1) - float(result.batch.log_likelihood(truth.curve).sum()) if known else None
     return Replicate(
         number=number,
         model=truth.model,
