@@ -181,6 +181,8 @@ def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, ca
     assert "Shoot next: We = " in second
     result = json.loads((out / "campaign.json").read_text())
     assert len(result["designs"]) == 1
+    assert result["noise"]["scale"] * result["noise"]["floor"] == pytest.approx(0.003, rel=0.4)
+    assert "x the published law" in second
     low, _, high = result["intervals"]["nhkv"]["G"]
     assert low < TRUTH["G"] < high
     ending = ["campaign", "--models", "nhkv", "--policy", "space-filling", "--stop", "designs=1", *QUICK]

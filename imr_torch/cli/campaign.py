@@ -189,9 +189,12 @@ def _report(campaign: Campaign, case: ReferenceCase | None, args: argparse.Names
         "relative_error": {},
         "model_probabilities": belief.probabilities,
         "intervals": {part.model: intervals(part) for part in belief.models},
+        "noise": vars(campaign.plan.noise),
         "cpu_seconds": seconds,
         "belief": belief.to_dict(),
     }
+    if campaign.steps and campaign.steps[-1].noise:
+        print(f"noise {campaign.steps[-1].noise}")
     print("model probabilities: " + ", ".join(f"{k} {v:.4f}" for k, v in belief.probabilities.items()))
     if case:
         part = belief[case.truth_model]
