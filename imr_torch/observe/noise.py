@@ -14,6 +14,7 @@ from torch import Tensor
 from imr_torch.errors import InputDataError
 
 _CORRELATION_TIMES = (0.0, 0.02, 0.04, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4)
+_FEWEST = 10  # degrees of freedom from which on residuals tell the noise
 _TIE = 1e-6  # nats; a law without slope and drift has the same likelihood at every floor
 _FLOORS = (1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 16.0, 25.0)  # times the floor of the law, at its scale
 
@@ -94,10 +95,13 @@ def fit_noise(
         fitted: parameters that were fitted to these data, which took as many degrees of freedom out of the residuals.
 
     Returns:
-        The law with its ``scale``, ``floor`` and ``correlation_time`` replaced.
+        The law with its ``scale``, ``floor`` and ``correlation_time`` replaced; as it was, where the fit left fewer than ten
+        degrees of freedom, since so few residuals are as small as the fit likes.
     """
     frames = sum(r.numel() for r in residuals)
-    free = max(frames - fitted, 0.1 * frames)  # of very few frames a fit leaves next to nothing
+    free = frames - fitted
+    if free < _FEWEST:
+        return noise
     best: tuple[float, Noise] | None = None
     for correlation_time in _CORRELATION_TIMES:
         unit = replace(noise, scale=1.0, correlation_time=correlation_time)
