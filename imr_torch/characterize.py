@@ -187,7 +187,7 @@ def characterize(
         prior: what is believed before; the wide prior when not given.
         simulator: makes the bubbles; with heat and vapour transport by default.
         noise: law of the observation noise; the published one by default.
-        estimate_noise: whether to fit its scale and correlation time to the residuals.
+        estimate_noise: whether to fit its scale, constant part and correlation time to the residuals.
         collapses: collapses that the fitted window holds.
         rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
         options: how the assimilation searches.

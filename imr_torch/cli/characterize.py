@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--noise",
         choices=("estimated", "published"),
         default="estimated",
-        help="observation noise: scale and correlation time estimated from the residuals (default), or the published law",
+        help="observation noise: estimated from the residuals (default), or the published law",
     )
     parser.add_argument(
         "--scores",
