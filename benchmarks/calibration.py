@@ -22,6 +22,7 @@ import matplotlib.pyplot as plt
 import torch
 from botorch.utils.sampling import draw_sobol_samples
 
+from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.calibration import (
     Arrangement,
     Replicate,
@@ -31,7 +32,6 @@ from imr_torch.calibration import (
     reliability,
     uniformity,
 )
-from imr_torch.characterize import NOISE_ROUNDS
 from imr_torch.design import DesignSpace, Estimator, Plan, expected_information_gain
 from imr_torch.material import reference_case
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate_with_noise, weigh
+from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, EnsembleOptions, assimilate_estimating_noise, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, ModelBelief, wide_prior
 from imr_torch.observe import (
@@ -40,7 +40,6 @@ from imr_torch.types import Progress
 
 LEVELS = (0.05, 0.5, 0.95)
 _IMPROBABLE = 3.0  # nats behind the best from which the draws of a model are not repaired
-NOISE_ROUNDS = 2
 _MIN_FRAMES = 5
 _CURVES_LISTED = 10
 
@@ -207,7 +206,7 @@ def characterize(
     prior, noise = prior or wide_prior(), noise or Noise()
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     experiments, landmarks = prepare(traces, simulator, collapses=collapses, rest_radius=rest_radius)
-    result = assimilate_with_noise(
+    result = assimilate_estimating_noise(
         prior,
         ExperimentBatch(experiments, noise),
         simulator,

@@ -7,9 +7,10 @@ from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.assimilate.published import PublishedFit, PublishedOptions, as_one_curve, assimilate_published
 from imr_torch.assimilate.search import EnsembleOptions
 from imr_torch.assimilate.trust import weigh
-from imr_torch.assimilate.unknown_noise import assimilate_with_noise
+from imr_torch.assimilate.unknown_noise import NOISE_ROUNDS, assimilate_estimating_noise
 
 __all__ = [
+    "NOISE_ROUNDS",
     "Assimilation",
     "Certificate",
     "EnsembleOptions",
@@ -21,8 +22,8 @@ __all__ = [
     "Verdict",
     "as_one_curve",
     "assimilate",
+    "assimilate_estimating_noise",
     "assimilate_published",
-    "assimilate_with_noise",
     "ensemble_sensitivity",
     "normal_equations",
     "weigh",

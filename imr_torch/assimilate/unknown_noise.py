@@ -15,8 +15,11 @@ from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
+NOISE_ROUNDS = 2
+"""How often the noise of measured curves is estimated: from fits with the given law, and from fits with the first estimate."""
 
-def assimilate_with_noise(
+
+def assimilate_estimating_noise(
     belief: Belief,
     batch: ExperimentBatch,
     simulator: Simulator,

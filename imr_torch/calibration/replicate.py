@@ -17,7 +17,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, ImportanceSample, ModelFit, assimilate_with_noise, weigh
+from imr_torch.assimilate import Assimilation, EnsembleOptions, ImportanceSample, ModelFit, assimilate_estimating_noise, weigh
 from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError
 from imr_torch.material import Belief
@@ -135,7 +135,7 @@ def _replicate(arrangement: Arrangement, number: int, seed: int, simulator: Simu
     learn = arrangement.learn or partial(_as_it_is, noise=arrangement.plan.noise)
     batch = learn(truth.experiment)
     try:
-        fitted = assimilate_with_noise(
+        fitted = assimilate_estimating_noise(
             arrangement.prior,
             batch,
             simulator,

@@ -16,8 +16,8 @@ from imr_torch.assimilate import (
     Assimilation,
     EnsembleOptions,
     PublishedOptions,
+    assimilate_estimating_noise,
     assimilate_published,
-    assimilate_with_noise,
     weigh,
 )
 from imr_torch.errors import InputDataError
@@ -97,7 +97,7 @@ class ExactLearner:
     def learn(self, harvest: Harvest, simulator: Simulator, *, progress: Progress | None = None) -> Lesson:
         """See :class:`Learner`."""
         number = len(harvest.batch.experiments)
-        result = assimilate_with_noise(
+        result = assimilate_estimating_noise(
             harvest.prior,
             harvest.batch,
             simulator,

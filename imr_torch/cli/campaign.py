@@ -26,6 +26,7 @@ from typing import Any
 
 import torch
 
+from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.campaign import (
     Campaign,
     CampaignSettings,
@@ -38,7 +39,7 @@ from imr_torch.campaign import (
     SpaceFilling,
     stopping_rule,
 )
-from imr_torch.characterize import NOISE_ROUNDS, intervals, predictive_band, prepare
+from imr_torch.characterize import intervals, predictive_band, prepare
 from imr_torch.cli.common import (
     add_physics_argument,
     add_prior_arguments,

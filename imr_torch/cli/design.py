@@ -8,6 +8,7 @@ import argparse
 from pathlib import Path
 from typing import get_args
 
+from imr_torch.campaign import Optimal
 from imr_torch.cli.common import (
     add_physics_argument,
     add_prior_arguments,
@@ -34,7 +35,6 @@ from imr_torch.plot import plot_information
 
 _PUBLISHED_REPEATS, _REPEATS = 100, 10
 _MEASURED = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)  # of curves filmed in a laboratory
-_BATCH = 5  # designs that are asked for and simulated together
 NAME = "design"
 SUMMARY = "the most informative next experiment"
 
@@ -99,8 +99,8 @@ def run(args: argparse.Namespace) -> None:
         acquisition,
         seed=args.seed,
         evaluations=args.evaluations,
-        initial=min(10, args.evaluations),
-        batch=_BATCH,
+        initial=min(Optimal.initial, args.evaluations),
+        batch=Optimal.batch,
         policy=POLICIES[args.policy],
         progress=progress_of(args),
     )

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import EnsembleOptions, assimilate_with_noise
+from imr_torch.assimilate import EnsembleOptions, assimilate_estimating_noise
 from imr_torch.observe import Experiment, ExperimentBatch
 from tests.linear import NOISE, LinearSimulator, prior, tensor
 
@@ -17,19 +17,19 @@ DESIGNS = ((200.0, 0.2), (500.0, 0.25), (900.0, 0.15))
 def filmed(scale: float, repeats: int, correlation_time: float = 0.0) -> ExperimentBatch:
     """Experiments on a gel of stiffness 5600 Pa, their noise a multiple of the law that the batch states."""
     source = torch.Generator().manual_seed(repeats)
-    parameters = LinearSimulator()
+    simulator = LinearSimulator()
     belief = prior(("nhkv",)).models[0]
     gel = belief.parameters(tensor(0.5, -0.3))
     noise = replace(NOISE, scale=scale, correlation_time=correlation_time)
     experiments = []
     for design in DESIGNS:
-        truth = parameters(gel, tensor(*design), TIMES).radius
+        truth = simulator(gel, tensor(*design), TIMES).radius
         experiments.append(Experiment(f"We {design[0]}", design, TIMES, noise.draw(truth, TIMES, repeats, generator=source)))
     return ExperimentBatch(tuple(experiments), NOISE)
 
 
 def fitted(batch: ExperimentBatch, rounds: int, models: tuple[str, ...] = ("nhkv",)):
-    return assimilate_with_noise(prior(models), batch, LinearSimulator(), rounds=rounds, seed=0, options=OPTIONS)
+    return assimilate_estimating_noise(prior(models), batch, LinearSimulator(), rounds=rounds, seed=0, options=OPTIONS)
 
 
 @pytest.mark.parametrize("repeats", [1, 8])
