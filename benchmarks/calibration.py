@@ -14,8 +14,8 @@ import argparse
 import json
 import time
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -43,11 +43,55 @@ DESIGNS = {"stiff-pa": (900.0, 0.28), "soft-pa": (400.0, 0.22)}
 SIMULATORS = {"polytropic": PolytropicSimulator, "full": TransportSimulator}
 UNCERTAIN = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)
 PIXELS = Noise(scale=0.2, floor=0.015)  # .003 in R* everywhere
-VARIANTS = ("default", "quick", "nuisances", "unknown-noise", "pixels", "halved-noise", "tempered")
-_QUICK = 64  # draws: for means over many designs, where each need not be exact
 ANSWERS = {"gaussian": "Gaussian answer", "reported": "what is reported", "weighed": "weighed draws"}
 LEVELS = (0.5, 0.9)
 SEED = 0
+
+
+def _published(experiment: Experiment) -> ExperimentBatch:
+    """By the published law of noise, whatever the truth's."""
+    return ExperimentBatch((experiment,), Noise())
+
+
+def _overconfident(experiment: Experiment) -> ExperimentBatch:
+    """By half the noise."""
+    return ExperimentBatch((experiment,), Noise(scale=0.5))
+
+
+def _tempered(experiment: Experiment) -> ExperimentBatch:
+    """By the likelihood of the published method: one mean curve, its misfit divided by the number of frames."""
+    mean = replace(experiment, radius=experiment.radius.mean(0, keepdim=True))
+    return ExperimentBatch((mean,), Noise(scale=len(experiment.times) ** 0.5))
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What differs from exact designs, known noise and the default inference.
+
+    Args:
+        uncertain: whether Rmax, time zero and R_inf are.
+        noise: the truth's.
+        estimated: whether the inference estimates it.
+        learn: how the data are read, where not as they were made.
+        samples: weighed draws, where not the default.
+    """
+
+    uncertain: bool = False
+    noise: Noise = field(default_factory=Noise)
+    estimated: bool = False
+    learn: Callable[[Experiment], ExperimentBatch] | None = None
+    samples: int | None = None
+
+
+VARIANTS = {
+    "default": Variant(),
+    "quick": Variant(samples=64),  # for means over many designs, where each need not be exact
+    "nuisances": Variant(uncertain=True),
+    "unknown-noise": Variant(uncertain=True, estimated=True),
+    "pixels": Variant(uncertain=True, noise=PIXELS, estimated=True, learn=_published),
+    "halved-noise": Variant(learn=_overconfident),
+    "tempered": Variant(learn=_tempered),
+}
 
 
 @dataclass(frozen=True)
@@ -68,34 +112,16 @@ class Job:
     @property
     def plan(self) -> Plan:
         """How the truth is observed."""
-        uncertain = self.variant in ("nuisances", "unknown-noise", "pixels")
-        noise = PIXELS if self.variant == "pixels" else Noise()
-        return Plan(repeats=self.repeats, noise=noise, nuisance=UNCERTAIN if uncertain else Nuisance())
+        kind = VARIANTS[self.variant]
+        return Plan(repeats=self.repeats, noise=kind.noise, nuisance=UNCERTAIN if kind.uncertain else Nuisance())
 
     @property
     def arrangement(self) -> Arrangement:
         """What is calibrated."""
-        other = {
-            "halved-noise": self._overconfident,
-            "tempered": self._tempered,
-            "pixels": self._as_published,
-        }.get(self.variant)
-        rounds = NOISE_ROUNDS if self.variant in ("unknown-noise", "pixels") else 0
-        whole = Arrangement(reference_case(self.case).prior, self.design, self.plan, learn=other, noise_rounds=rounds)
-        return replace(whole, samples=_QUICK) if self.variant == "quick" else whole
-
-    def _as_published(self, experiment: Experiment) -> ExperimentBatch:
-        """The published law, from which the noise is then estimated."""
-        return ExperimentBatch((experiment,), Noise())
-
-    def _overconfident(self, experiment: Experiment) -> ExperimentBatch:
-        return ExperimentBatch((experiment,), replace(self.plan.noise, scale=0.5 * self.plan.noise.scale))
-
-    def _tempered(self, experiment: Experiment) -> ExperimentBatch:
-        """The likelihood of the published method: one mean curve, its misfit divided by the number of frames."""
-        mean = replace(experiment, radius=experiment.radius.mean(0, keepdim=True))
-        scale = self.plan.noise.scale * len(experiment.times) ** 0.5
-        return ExperimentBatch((mean,), replace(self.plan.noise, scale=scale))
+        kind = VARIANTS[self.variant]
+        learn, rounds = kind.learn, NOISE_ROUNDS if kind.estimated else 0
+        whole = Arrangement(reference_case(self.case).prior, self.design, self.plan, learn=learn, noise_rounds=rounds)
+        return replace(whole, samples=kind.samples) if kind.samples else whole
 
     @property
     def seed(self) -> int:
