@@ -18,6 +18,14 @@ from imr_torch.files import write_atomically
 from imr_torch.observe import Experiment, Nuisance
 
 
+def differing(known: Any, wanted: Any, name: str = "") -> list[str]:
+    """Dotted names of the entries in which two JSON documents differ, or which one lacks; parts of two kinds differ whole."""
+    if not (isinstance(known, dict) and isinstance(wanted, dict)) or known.get("kind") != wanted.get("kind"):
+        return [] if known == wanted else [name]
+    keys = dict.fromkeys((*known, *wanted))
+    return [found for key in keys for found in differing(known.get(key), wanted.get(key), f"{name}.{key}" if name else key)]
+
+
 class Journal:
     """The events of one campaign in a folder.
 

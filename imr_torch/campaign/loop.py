@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation
-from imr_torch.campaign.journal import Journal
+from imr_torch.campaign.journal import Journal, differing
 from imr_torch.campaign.learners import ExactLearner, Harvest, Learner, PaperLearner, finite
 from imr_torch.campaign.policies import PAPER_OPTIMAL, DesignPolicy, Optimal, Proposal, Situation
 from imr_torch.campaign.stopping import Standing, StoppingRule
@@ -133,11 +133,11 @@ class Campaign:
         if known is None:
             self.journal.append("start", **identity)
             return
-        differing = [key for key, value in identity.items() if known.get(key) != value]
-        if differing:
+        known = {key: value for key, value in known.items() if key != "event"}
+        if names := differing(known, identity):
             raise InputDataError(
-                f"{self.journal.path} is the journal of another campaign: {', '.join(differing)} differ. "
-                "Resume with the same arguments, or give another folder."
+                f"{self.journal.path} is the journal of another campaign: {', '.join(names)} differ. Resume with the same "
+                "arguments; if another version of imr_torch began it, tell its curves to a campaign in a new folder."
             )
 
     def _replay(self) -> None:

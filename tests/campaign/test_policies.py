@@ -1,5 +1,6 @@
 """Policies: every one stays in the space, is a function of seed and number, and journals as the optimal one does."""
 
+import json
 import shutil
 
 import pytest
@@ -145,9 +146,20 @@ def test_resuming_with_any_policy_and_learner_gives_the_uninterrupted_journal_by
 
 def test_a_campaign_of_another_policy_learner_or_rule_is_refused(tmp_path):
     campaign(tmp_path, policy=SpaceFilling(), stop=Designs(2))
-    for changes in ({"policy": Random()}, {"learner": PaperLearner()}, {"stop": Designs(3)}, {"stop": None}):
-        with pytest.raises(InputDataError, match="journal of another campaign: settings differ"):
-            campaign(tmp_path, **({"policy": SpaceFilling(), "stop": Designs(2)} | changes))
+    kinds = {"policy": SpaceFilling(), "stop": Designs(2)}
+    others = {"policy": Random(), "learner": PaperLearner(), "stop.count": Designs(3), "stop": None}
+    for name, other in others.items():
+        with pytest.raises(InputDataError, match=f"another campaign: settings[.]{name} differ"):
+            campaign(tmp_path, **kinds | {name.split(".")[0]: other})
+
+
+def test_a_journal_begun_before_a_setting_existed_says_which(tmp_path):
+    journal = campaign(tmp_path).journal.path
+    entry = json.loads(journal.read_text())
+    del entry["settings"]["learner"]["noise_rounds"]
+    journal.write_text(json.dumps(entry) + "\n")
+    with pytest.raises(InputDataError, match=r"settings\.learner\.noise_rounds differ.*another version of imr_torch"):
+        campaign(tmp_path)
 
 
 def test_a_campaign_stops_before_the_experiment_that_is_not_worth_it_and_says_why(tmp_path):

@@ -95,5 +95,5 @@ def test_that_at_once_must_be_positive(tmp_path):
 
 def test_the_journal_of_another_study_is_refused(tmp_path):
     run_campaigns([0], study(tmp_path, policy=Random()), 1)
-    with pytest.raises(InputDataError, match="journal of another campaign: settings differ"):
+    with pytest.raises(InputDataError, match=r"journal of another campaign: settings\.policy differ"):
         run_campaigns([0], study(tmp_path), 1)
