@@ -1,8 +1,11 @@
 """Fits to measured curves, whose noise is not known before: it is estimated from the residuals.
 
 First the fits are made with the law as given, then again with what the residuals of the best model say, so that a model that
-misses the data pays with wider intervals instead of false precision.
+misses the data pays with wider intervals instead of false precision. Of fits that are not the last only the residuals matter,
+so they end within a tenth of a nat of a minimum.
 """
+
+from dataclasses import replace
 
 import torch
 
@@ -17,6 +20,8 @@ from imr_torch.types import Progress
 
 NOISE_ROUNDS = 2
 """How often the noise of measured curves is estimated: from fits with the given law, and from fits with the first estimate."""
+
+_GRADIENT, _AGREEMENT = 0.3, 1.0  # posterior standard deviations and nats that fits which are not the last may lack
 
 
 def assimilate_estimating_noise(
@@ -38,21 +43,27 @@ def assimilate_estimating_noise(
         simulator: makes the bubbles.
         rounds: how often the noise is estimated and the fits made again; with 0 it is as given.
         seed: of scouts and ensembles.
-        options: how to search.
-        warn: as for :func:`assimilate`.
+        options: how to search; the tolerances are those of the last fits.
+        warn: as for :func:`assimilate`, of the last fits.
         progress: called with one line per iteration.
 
     Returns:
         The last fits; their batch has the noise that they were made with.
     """
-    law = batch.noise
-    result = assimilate(belief, batch, simulator, seed=seed, options=options, warn=warn, progress=progress)
+    law, options = batch.noise, options or EnsembleOptions()
+    coarse = replace(options, gradient=max(_GRADIENT, options.gradient), agreement=max(_AGREEMENT, options.agreement))
+
+    def fit(batch: ExperimentBatch, number: int, near: Assimilation | None) -> Assimilation:
+        own, last = child(seed, "round", number) if number else seed, number == rounds
+        how, warned = options if last else coarse, warn and last
+        return assimilate(belief, batch, simulator, seed=own, options=how, near=near, warn=warned, progress=progress)
+
+    result = fit(batch, 0, None)
     for number in range(1, rounds + 1):
         batch = ExperimentBatch(batch.experiments, noise_of_residuals(result, law))
         if progress:
             progress(f"noise {batch.noise}")
-        own = child(seed, "round", number)
-        result = assimilate(belief, batch, simulator, seed=own, options=options, near=result, warn=warn, progress=progress)
+        result = fit(batch, number, result)
     return result
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import EnsembleOptions, assimilate_estimating_noise
+from imr_torch.assimilate import EnsembleOptions, assimilate, assimilate_estimating_noise, unknown_noise
 from imr_torch.observe import Experiment, ExperimentBatch
 from tests.linear import NOISE, LinearSimulator, prior, tensor
 
@@ -54,3 +54,21 @@ def test_that_a_model_that_misses_the_data_has_its_misfit_for_noise() -> None:
     assert right == pytest.approx(1.0, rel=0.15)
     assert wrong > 2.0 * right
     assert fitted(batch, 2, ("newtonian", "nhkv")).batch.noise.scale == pytest.approx(right, rel=1e-3)
+
+
+def test_that_only_the_last_fits_are_held_to_the_tolerances_and_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def noted(*args, options: EnsembleOptions, warn: bool, **kwargs):
+        asked.append((options.gradient, options.agreement, warn))
+        return assimilate(*args, options=options, warn=warn, **kwargs)
+
+    monkeypatch.setattr(unknown_noise, "assimilate", noted)
+    found = fitted(filmed(3.0, 1), 2)
+    assert found.converged
+    assert [a[2] for a in asked] == [False, False, True]
+    assert asked[0] == asked[1] > asked[2]
+    assert asked[2][:2] == (OPTIONS.gradient, OPTIONS.agreement)
+    asked.clear()
+    fitted(filmed(3.0, 1), 0)
+    assert asked == [(OPTIONS.gradient, OPTIONS.agreement, True)]
