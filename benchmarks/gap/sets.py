@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from benchmarks.gap.signals import signals
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import LIBRARY, Effect, library
-from imr_torch.gap.locate import PHASES, phase_clock, phase_name
+from imr_torch.gap.locate import PHASES
 from imr_torch.gap.sets import NUISANCE
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
@@ -28,9 +29,7 @@ _WEBER, _REST = (100.0, 1000.0), (0.14, 0.30)
 _APART = 0.1  # least distance of two designs, both coordinates scaled to 1
 _AMPLITUDE = (0.2, 2.0)  # in prior standard deviations
 _ACTS = 0.1  # least sd: what acts less does nothing in this physics
-_NUDGE = 0.01  # relative step of G and mu for their slopes
-_REFITS = 3  # of G and mu beside an effect
-_SEEN = 4.0  # sd beside G and mu at which an effect counts as detectable
+_SEEN = 4.0  # sd beside a refit at which an effect counts as detectable
 _LOUD = 4.5  # sd at which one test of hundreds rejects at one per cent
 _DRAWS = {"none": 0, "effect": 4, "withheld": 4, "pair": 8, "next": 4}  # effects drawn, of which detectable ones come first
 _ATTEMPTS = 20
@@ -99,7 +98,7 @@ class SyntheticSet:
         truth: names of the effects that act.
         offered: the library of the diagnosis.
         values: true parameters beside neutral ones, SI.
-        signal: sd that a refit of G and mu leaves of each effect in the data that are diagnosed (nuisances apart).
+        signal: sd that a refit of G, mu and nuisances leaves of each effect in the data that are diagnosed.
         phase: first phase up to whose end an effect adds what shows in a test for it, ``"none"`` if never.
     """
 
@@ -141,9 +140,10 @@ def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
     gel = {name: _log_uniform(bounds, source) for name, bounds in _GEL.items()}
     plan = make_plan(draw_designs(task.designs + UNSEEN, source), task)
     drawn = [draw_effect(_one_of(task.candidates, source), source) for _ in range(_DRAWS[task.kind])]
-    by_phase = _signals(gel, drawn, ExperimentBatch(plan.experiments[: task.designs]), task)
-    signals = [row[-1] for row in by_phase]
-    chosen = choose(drawn, signals, {"none": 0, "pair": 2}.get(task.kind, 1))
+    diagnosed = ExperimentBatch(plan.experiments[: task.designs])
+    by_phase = signals(gel, [changed for _, changed in drawn], diagnosed, task.simulator(), task.repeats)
+    whole = [row[-1] for row in by_phase]
+    chosen = choose(drawn, whole, {"none": 0, "pair": 2}.get(task.kind, 1))
     if chosen is None:
         return None
     values = gel | {name: value for i in chosen for name, value in drawn[i][1].items()}
@@ -154,7 +154,7 @@ def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
     truth = tuple(drawn[i][0].name for i in chosen)
     hidden = {drawn[i][0].family for i in chosen} if task.kind == "withheld" else set()
     offered = tuple(effect for effect in task.candidates if effect.family not in hidden)
-    signal = {drawn[i][0].name: signals[i] for i in chosen}
+    signal = {drawn[i][0].name: whole[i] for i in chosen}
     loud = [place for i in chosen for place, size in enumerate(by_phase[i]) if size >= _LOUD]
     phase = PHASES[min(loud)] if loud else "none"
     return SyntheticSet(experiments[: task.designs], experiments[task.designs :], curves, truth, offered, values, signal, phase)
@@ -217,57 +217,6 @@ def draw_effect(effect: Effect, source: torch.Generator) -> tuple[Effect, dict[s
         lower, upper = max(prior.lower, PARAMETERS[name].lower), min(prior.upper, PARAMETERS[name].upper)
         values[name] = signed if lower <= signed <= upper else min(size, upper)
     return effect, values
-
-
-def _signals(
-    gel: dict[str, float],
-    drawn: list[tuple[Effect, dict[str, float]]],
-    plan: ExperimentBatch,
-    task: Task,
-) -> list[list[float]]:
-    """Length in sd of what a refit of G and mu leaves of each effect, up to the end of each phase; NaN where it has no curve.
-
-    The refit is a real one as far as it makes the rest smaller: to first order alone, most effects leave several times more.
-    """
-    if not drawn:
-        return []
-    simulator = task.simulator()
-
-    def curves(gels: list[dict[str, float]], effects: list[dict[str, float]]) -> Tensor:
-        parameters = [PARAMETERS.pack(one | effect) for one, effect in zip(gels, effects, strict=True)]
-        return predict(simulator, torch.stack(parameters), plan)
-
-    values = [changed for _, changed in drawn]
-    nudged = [gel, *(gel | {name: math.exp(_NUDGE) * gel[name]} for name in gel), *([gel] * len(drawn))]
-    first = curves(nudged, [{}] * (1 + len(gel)) + values)
-    base, sd = first[0].nan_to_num(), plan.sd(first[0])
-    rows = plan.whiten(first[1:] - base, sd) * math.sqrt(task.repeats)
-    clock = phase_clock(plan.times, base, plan.mask)
-    phase = torch.tensor([[PHASES.index(phase_name(c)) for c in row] for row in clock.tolist()])
-    keep = torch.stack([phase <= last for last in range(len(PHASES))]).flatten(1).to(rows)  # P x N
-    slopes = rows[: len(gel)].flatten(1).nan_to_num() * keep[:, None]  # P x k x N
-    changes = rows[len(gel) :].flatten(1) * keep[:, None]  # P x n x N
-    basis = torch.linalg.qr(slopes.mT).Q
-
-    def length(left: Tensor) -> Tensor:
-        return (left - (left @ basis) @ basis.mT).norm(dim=-1)
-
-    lengths = length(changes)
-    for _ in range(_REFITS):
-        steps = torch.linalg.lstsq(slopes.mT, changes.nan_to_num().mT, driver="gelsd").solution.mT  # P x n x k
-        steps = steps.clamp(-1.0 / _NUDGE, 1.0 / _NUDGE)
-        gels = [dict(zip(gel, row, strict=True)) for row in _moved(gel, -_NUDGE * steps.flatten(0, 1))]
-        moved = plan.whiten(curves(gels, values * len(PHASES)) - base, sd) * math.sqrt(task.repeats)
-        beside = moved.flatten(1).unflatten(0, steps.shape[:2]) * keep[:, None] + steps @ slopes
-        now = length(beside)
-        smaller = now < lengths
-        changes, lengths = torch.where(smaller[..., None], beside, changes), torch.where(smaller, now, lengths)
-    return lengths.mT.tolist()
-
-
-def _moved(gel: dict[str, float], steps: Tensor) -> list[list[float]]:
-    """Values of a gel's parameters after relative steps, a row each."""
-    return (torch.tensor(list(gel.values()), dtype=torch.float64) * steps.exp()).tolist()
 
 
 def choose(drawn: list[tuple[Effect, dict[str, float]]], signals: list[float], count: int) -> list[int] | None:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from itertools import pairwise
 
 import pytest
 import torch
@@ -9,7 +10,8 @@ from scipy.stats import binomtest
 
 from benchmarks.gap.__main__ import append, main, tasks
 from benchmarks.gap.run import frozen, run_task, thresholds
-from benchmarks.gap.sets import Task, choose, draw_designs, draw_effect, make_set
+from benchmarks.gap.sets import Task, choose, draw_designs, draw_effect, make_plan, make_set
+from benchmarks.gap.signals import signals
 from benchmarks.gap.table import (
     Row,
     amounts,
@@ -29,6 +31,7 @@ from benchmarks.gap.table import (
 from imr_torch.design import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.gap import LIBRARY
+from imr_torch.gap.sets import NUISANCE
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import generator
 
@@ -105,6 +108,16 @@ def test_that_detectable_effects_become_the_truth_first_and_one_of_each_family()
     assert choose(drawn, [1.0, 8.0, 90.0, 5.0], 2) == [1, 3]  # the trigger is of the same class as the velocity
     assert choose(drawn, [1.0, 2.0, 3.0, math.nan], 1) == [2]
     assert choose(drawn, [0.0, math.nan, 0.0, 0.0], 1) is None
+
+
+def test_that_what_nuisances_take_back_does_not_show() -> None:
+    """Rmax of all experiments off by 1 % is an effect, and is what errors of .3 % of each take back at 1/.3 sd each."""
+    designs, gel, effect = draw_designs(3, generator(0)), {"G": 5e3, "mu": 0.1}, {"missed_maximum": 0.01}
+    task, uncertain = (Task("effect", 3, 100, "polytropic", 0, nuisances=known) for known in (False, True))
+    shown = [signals(gel, [effect], make_plan(designs, t), t.simulator(), 100)[0] for t in (task, uncertain)]
+    assert shown[0][-1] > 20.0
+    assert 0.5 < shown[1][-1] <= 3.0**0.5 * 0.01 / NUISANCE.max_radius
+    assert all(late >= early - 0.05 for early, late in pairwise(shown[1]))
 
 
 @pytest.fixture(scope="module")
