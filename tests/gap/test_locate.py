@@ -60,10 +60,6 @@ def test_that_the_onset_is_in_the_phase_in_which_the_effect_acts_and_silent_on_m
     assert found.phase in str(found) or name == "matched"
 
 
-def test_that_a_prefix_linearised_anew_gives_the_same_onset(cases) -> None:
-    assert onset(*cases("collapse"), seed=1, relinearise=True).phase == "first collapse"
-
-
 def test_that_a_linear_refit_to_all_frames_stays_and_to_some_frames_is_the_nonlinear_one() -> None:
     batch = shoot({}, repeats=50, nuisance=Nuisance(time_zero=0.004))
     best = fit(batch)
