@@ -86,25 +86,34 @@ class Kernels:
 
     def draw(self, count: int, source: torch.Generator) -> Tensor:
         """``count x d`` independent draws."""
-        size = self.centres.shape[1]
-        normal = torch.randn(count, size, generator=source, dtype=torch.float64)
-        squares = torch.randn(count, _FREEDOM, generator=source, dtype=torch.float64).square().sum(1, keepdim=True)
+        deviation = student_draws((count, self.centres.shape[1]), _FREEDOM, source)
         kernel = torch.multinomial(self.weights, count, replacement=True, generator=source)
-        deviation = normal * (_FREEDOM / squares).sqrt()
         return self.centres[kernel] + (self.chols[kernel] @ deviation[..., None])[..., 0]
 
     def log_prob(self, points: Tensor) -> Tensor:
         """Log density at ``n x d`` points: ``n`` tensor."""
-        size = self.centres.shape[1]
-        half = 0.5 * (_FREEDOM + size)
-        constant = math.lgamma(half) - math.lgamma(0.5 * _FREEDOM) - 0.5 * size * math.log(_FREEDOM * math.pi)
-        heights = constant + self.weights.log() - self.chols.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        size = torch.tensor(self.centres.shape[1])
+        heights = self.weights.log() - self.chols.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         whiten = torch.linalg.inv(self.chols)
         rows = []
         for some in points.split(max(1, _PAIRS // len(self.centres))):
             square = torch.einsum("jab,jnb->jna", whiten, some - self.centres[:, None]).square().sum(-1)
-            rows.append(torch.logsumexp(heights[:, None] - half * torch.log1p(square / _FREEDOM), dim=0))
+            rows.append(torch.logsumexp(heights[:, None] + student_log_prob(square, size, _FREEDOM), dim=0))
         return torch.cat(rows)
+
+
+def student_draws(shape: Sequence[int], freedom: int, source: torch.Generator) -> Tensor:
+    """Independent draws of the standard multivariate Student t, in as many dimensions as the last of ``shape``."""
+    normal = torch.randn(*shape, generator=source, dtype=torch.float64)
+    squares = torch.randn(*shape[:-1], freedom, generator=source, dtype=torch.float64).square().sum(-1, keepdim=True)
+    return normal * (freedom / squares).sqrt()
+
+
+def student_log_prob(square: Tensor, size: Tensor, freedom: int) -> Tensor:
+    """Log density of the standard multivariate Student t in ``size`` dimensions at points of a squared length."""
+    half = 0.5 * (freedom + size)
+    constant = torch.lgamma(half) - math.lgamma(0.5 * freedom) - 0.5 * size * math.log(freedom * math.pi)
+    return constant - half * torch.log1p(square / freedom)
 
 
 def mixture_log_prob(proposals: Sequence[Kernels], counts: Sequence[int], points: Tensor) -> Tensor:

@@ -1,11 +1,12 @@
 """When the Gaussian answer is to be trusted, and what to believe where it is not.
 
 Each fit's Gaussian, with heavier tails, proposes draws that are weighed by the exact posterior. Nuisances are integrated
-out for each draw and each experiment by importance sampling from their conditional Gaussian, in opposite pairs, which
-cancels its skewness; the product over experiments is without bias (pseudo-marginal: Andrieu & Roberts, Ann. Stat. 37,
-2009). That Gaussian is at first the fit's, moved linearly with the gel, and after the first round each draw's own. Draws of
-all models are simulated in one call a round. A model whose Gaussian does not stand gets another round about the ridge that its
-posterior lies on (:mod:`~imr_torch.assimilate.ridge`), then with proposals made from all its weighed draws, until one stands.
+out for each draw and each experiment by importance sampling from their conditional Gaussian, with heavier tails too, in
+opposite pairs, which cancels its skewness; the product over experiments is without bias (pseudo-marginal: Andrieu & Roberts,
+Ann. Stat. 37, 2009). That Gaussian is at first the fit's, moved linearly with the gel, and after the first round each draw's
+own. Draws of all models are simulated in one call a round. A model whose Gaussian does not stand gets another round about the
+ridge that its posterior lies on (:mod:`~imr_torch.assimilate.ridge`), then with proposals made from all its weighed draws,
+until one stands.
 
 Weights tell of what the draws came near. Another mode far from all of them stays unseen here; against that stands the
 agreement of the starts in the fit's certificate.
@@ -20,13 +21,17 @@ from torch import Tensor
 from imr_torch.assimilate.conditional import conditional_nuisances, possible_nuisances
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.importance import ImportanceSample, smooth
-from imr_torch.assimilate.proposals import Kernels, mixture_log_prob
+from imr_torch.assimilate.proposals import Kernels, mixture_log_prob, student_draws, student_log_prob
 from imr_torch.assimilate.ridge import trace_ridges
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
+
+_FREEDOM = 15
+"""Degrees of freedom of what proposes nuisances: heavier tails than a Gaussian's, which costs 3 % of the draws an experiment
+where the posterior is one. Of 17 models of real files 3 were refused by a Gaussian, 1 by these (or 7, at 8 % an experiment)."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,7 @@ class _Round:
     @property
     def log_prior(self) -> Tensor:
         """``n`` tensor, log density under the prior."""
-        return -0.5 * self.controls.square().sum(1) - 0.5 * self.controls.shape[1] * math.log(2.0 * math.pi)
+        return _standard_log_prob(self.controls).sum(1)
 
 
 def weigh(
@@ -146,15 +151,26 @@ def _draw(
     if not bool((batch.nuisance_sds > 0.0).any()):
         still = torch.zeros(samples, 1, experiments, 3, dtype=torch.float64)
         return _Draws(controls, still, still[..., 0], lots)
-    half = torch.randn(samples, 1, experiments, 3, generator=source, dtype=torch.float64)
+    uncertain = batch.nuisance_sds > 0.0
+    normal = torch.randn(samples, 1, experiments, 3, generator=source, dtype=torch.float64)
+    half = torch.where(uncertain, student_draws(normal.shape, _FREEDOM, source), normal)
     noise = torch.cat((half, -half), dim=1)
     centre, chol = fit.nuisances_at(controls), fit.nuisance_chol.expand(samples, -1, -1, -1)
     if simulator is not None:
         centre, chol = conditional_nuisances(fit.parameters(controls), centre, chol, batch, simulator)
     deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)[..., 0]
     nuisances = centre[:, None] + deviation
+    log_prior = _standard_log_prob(nuisances).sum(-1)
+    log_proposal = torch.where(uncertain, 0.0, _standard_log_prob(noise)).sum(-1)
+    square = torch.where(uncertain, noise.square(), 0.0).sum(-1)
+    log_proposal = log_proposal + student_log_prob(square, uncertain.sum(1), _FREEDOM)
     log_det = chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)[:, None]
-    return _Draws(controls, nuisances, 0.5 * (noise.square() - nuisances.square()).sum(-1) - log_det, lots)
+    return _Draws(controls, nuisances, log_prior - log_proposal - log_det, lots)
+
+
+def _standard_log_prob(values: Tensor) -> Tensor:
+    """Log density of the standard normal, of each value."""
+    return -0.5 * (values.square() + math.log(2.0 * math.pi))
 
 
 def _simulate(fits: list[ModelFit], draws: list[_Draws], batch: ExperimentBatch, simulator: Simulator) -> list[_Round]:
