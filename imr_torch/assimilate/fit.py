@@ -53,7 +53,8 @@ class Verdict(Enum):
 _SAME = 0.05  # nats between Gaussians: a mean a third of an sd off, or an sd 20 % off
 _CLOUD = 64  # draws by which a belief that bends is handed on
 _ALL_BUT = 0.1  # posterior standard deviations, and nats between starts: what is left to gain is a hundredth of a nat
-_OUT = 20.0  # nats by which a model is out of the running
+_OUT = 20.0  # nats by which a model whose minimum is all but found is out of the running
+_FAR_OUT = 100.0  # the same where it is not, beyond four times what its gradient promises
 _AGAIN = 0.1  # the same between two rounds, each with its error
 
 
@@ -86,10 +87,10 @@ class ModelFit:
     sample: ImportanceSample | None = None
 
     def out_of_the_running(self, best: float) -> bool:
-        """Whether the minimum is all but found, and lies far above ``best``, another model's, nats."""
-        certificate = self.certificate
-        found = certificate.gradient < _ALL_BUT and certificate.agreement < _ALL_BUT
-        return found and self.cost > best + _OUT
+        """Whether the model cannot come near ``best``, the cost of another, nats, however much further it were fitted."""
+        gradient = self.certificate.gradient
+        found = gradient < _ALL_BUT and self.certificate.agreement < _ALL_BUT
+        return self.cost > best + _OUT if found else self.cost - 2.0 * gradient**2 > best + _FAR_OUT
 
     @property
     def model(self) -> str:
@@ -178,7 +179,7 @@ class Assimilation:
         """Whether every model's fit carries a clean certificate, or is so far behind that what is left of it cannot matter.
 
         The fit of a model that is plainly wrong stalls on its large residuals before the gradient is within a tolerance that
-        is meant for a right one.
+        is meant for a right one, or rests where models race.
         """
         best = min(fit.cost for fit in self.fits)
         return all(fit.certificate.converged or fit.out_of_the_running(best) for fit in self.fits)

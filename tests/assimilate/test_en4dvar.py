@@ -1,6 +1,7 @@
 """Ensemble 4D-Var against the exact posterior of a linear simulator, and against the exact cost of the real one."""
 
 import copy
+import math
 import warnings
 from dataclasses import dataclass, replace
 
@@ -389,7 +390,15 @@ def test_that_the_stated_covariance_is_the_curvature_of_the_exact_cost(bubbles) 
 
 @pytest.mark.parametrize(
     ("gradient", "agreement", "behind", "converged"),
-    [(5e-3, 1e-6, 50.0, True), (5e-3, 1e-6, 5.0, False), (0.5, 1e-6, 50.0, False), (5e-3, 3.0, 50.0, False)],
+    [
+        (5e-3, 1e-6, 50.0, True),
+        (5e-3, 1e-6, 5.0, False),
+        (0.5, 1e-6, 50.0, False),
+        (5e-3, 3.0, 50.0, False),
+        (12.0, 70.0, 400.0, True),
+        (12.0, 70.0, 300.0, False),
+        (math.inf, 70.0, 400.0, False),
+    ],
 )
 def test_that_a_stalled_fit_matters_only_if_it_could_still_be_in_the_running(
     gradient: float, agreement: float, behind: float, converged: bool
