@@ -91,9 +91,14 @@ class ImportanceSample:
         return len(self.controls)
 
     @property
+    def log_target(self) -> Tensor:
+        """``n`` tensor, log of likelihood x prior of each draw, nuisances integrated out."""
+        return self.by_experiment.sum(1) + self.log_prior
+
+    @property
     def log_weights(self) -> Tensor:
         """``n`` tensor before smoothing; their mean estimates the evidence."""
-        return self.by_experiment.sum(1) + self.log_prior - self.log_proposal
+        return self.log_target - self.log_proposal
 
     @cached_property
     def _smoothed(self) -> tuple[Tensor, float]:

@@ -8,8 +8,8 @@ own. Draws of all models are simulated in one call a round. A model whose Gaussi
 ridge that its posterior lies on (:mod:`~imr_torch.assimilate.ridge`), then with proposals made from all its weighed draws,
 until one stands.
 
-Weights tell of what the draws came near. Another mode far from all of them stays unseen here; against that stands the
-agreement of the starts in the fit's certificate.
+A draw that comes upon a lower minimum has the fit made again from there (:mod:`~imr_torch.assimilate.lower`). Another mode far
+from all draws stays unseen here; against that stands the agreement of the starts in the fit's certificate.
 """
 
 import math
@@ -21,6 +21,7 @@ from torch import Tensor
 from imr_torch.assimilate.conditional import conditional_nuisances, possible_nuisances
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.importance import ImportanceSample, smooth
+from imr_torch.assimilate.lower import lower_minima
 from imr_torch.assimilate.proposals import Kernels, mixture_log_prob, student_draws, student_log_prob
 from imr_torch.assimilate.ridge import trace_ridges
 from imr_torch.errors import ConvergenceError, InputDataError
@@ -78,6 +79,7 @@ def weigh(
     samples: int = 256,
     rounds: int = 4,
     hopeless: float | None = None,
+    refit: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:
     """Weigh draws about every fit by the exact posterior.
@@ -92,6 +94,7 @@ def weigh(
             made for, which after the first round are those of the fit's Gaussian.
         hopeless: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
             evidence is, by weights that can be leant on.
+        refit: whether a model of which a draw comes upon a lower minimum is fitted again from there, and weighed again.
         progress: called with one line per round.
 
     Returns:
@@ -127,7 +130,20 @@ def weigh(
             made = [_again(proposals[fit.model], parts[fit.model]) for fit in waiting]
         for fit, proposal in zip(waiting, made, strict=True):
             proposals[fit.model].append(proposal)
-    return replace(assimilation, fits=tuple(found[fit.model] for fit in fits))
+    weighed = replace(assimilation, fits=tuple(found[fit.model] for fit in fits))
+    lower = lower_minima(weighed, simulator, seed=child(seed, "refit"), progress=progress) if refit else {}
+    if not lower:
+        return weighed
+    again = weigh(
+        replace(assimilation, fits=tuple(lower.values())),
+        simulator,
+        seed=child(seed, "again"),
+        samples=samples,
+        rounds=rounds,
+        refit=False,
+        progress=progress,
+    )
+    return replace(weighed, fits=tuple(again[fit.model] if fit.model in lower else fit for fit in weighed.fits))
 
 
 def _ahead(fits: list[ModelFit], hopeless: float | None) -> set[str]:
