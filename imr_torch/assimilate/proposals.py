@@ -92,13 +92,12 @@ class Kernels:
 
     def log_prob(self, points: Tensor) -> Tensor:
         """Log density at ``n x d`` points: ``n`` tensor."""
-        size = torch.tensor(self.centres.shape[1])
         heights = self.weights.log() - self.chols.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         whiten = torch.linalg.inv(self.chols)
         rows = []
         for some in points.split(max(1, _PAIRS // len(self.centres))):
             square = torch.einsum("jab,jnb->jna", whiten, some - self.centres[:, None]).square().sum(-1)
-            rows.append(torch.logsumexp(heights[:, None] + student_log_prob(square, size, _FREEDOM), dim=0))
+            rows.append(torch.logsumexp(heights[:, None] + student_log_prob(square, self.centres.shape[1], _FREEDOM), dim=0))
         return torch.cat(rows)
 
 
@@ -109,8 +108,9 @@ def student_draws(shape: Sequence[int], freedom: int, source: torch.Generator) -
     return normal * (freedom / squares).sqrt()
 
 
-def student_log_prob(square: Tensor, size: Tensor, freedom: int) -> Tensor:
+def student_log_prob(square: Tensor, size: int | Tensor, freedom: int) -> Tensor:
     """Log density of the standard multivariate Student t in ``size`` dimensions at points of a squared length."""
+    size = torch.as_tensor(size, dtype=square.dtype)
     half = 0.5 * (freedom + size)
     constant = torch.lgamma(half) - math.lgamma(0.5 * freedom) - 0.5 * size * math.log(freedom * math.pi)
     return constant - half * torch.log1p(square / freedom)
