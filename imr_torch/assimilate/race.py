@@ -8,6 +8,7 @@ no business of this file.
 import torch
 from torch import Tensor
 
+from imr_torch.assimilate.fit import PROMISED
 from imr_torch.assimilate.search import NEAR, Search, around
 
 _AWAY = (10.0, 3.0)  # posterior standard deviations by which a first and a second restart are away
@@ -48,8 +49,8 @@ class Race:
         search = self._search
         if search.options.hopeless is None:
             return
-        promised = search.cost - 2.0 * search.gradient.clamp_max(1e6).square()  # Gauss-Newton promises a quarter of that
-        search.finished |= (promised > search.cost.min() + search.options.hopeless) & ~search.bluntly
+        reached = search.cost - PROMISED * search.gradient.clamp_max(1e6).square()
+        search.finished |= (reached > search.cost.min() + search.options.hopeless) & ~search.bluntly
 
     def _behind(self, chain: Tensor, times: float) -> bool:
         """Whether the best has left a chain behind by more than so many times ``hopeless``."""
