@@ -6,13 +6,15 @@ anew for each gel, do. A draw that is more probable than the optimum is by the f
 """
 
 import math
+from collections.abc import Sequence
 
 import torch
 
 from imr_torch.assimilate.en4dvar import assimilate
-from imr_torch.assimilate.fit import Assimilation, ModelFit
+from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.search import EnsembleOptions, around
 from imr_torch.material import Belief
+from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
@@ -23,13 +25,19 @@ _AWAY = 3.0  # posterior standard deviations between the draw and the second sta
 _OPTIONS = EnsembleOptions(starts=2)
 
 
+def has_a_better_draw(fit: ModelFit, best: float) -> bool:
+    """Whether a draw is more probable than the optimum, of a model that is not far behind ``best``, the cost of another."""
+    return not fit.out_of_the_running(best) and _excess(fit) > _MORE
+
+
 def lower_minima(
-    weighed: Assimilation, simulator: Simulator, *, seed: int, progress: Progress | None = None
+    fits: Sequence[ModelFit], batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None = None
 ) -> dict[str, ModelFit]:
-    """Fit again, from their most probable draws, the models of which a draw is more probable than the optimum.
+    """Fit models again from their most probable draws.
 
     Args:
-        weighed: fits with their draws; not changed. Models that are far behind the best are left as they are.
+        fits: models with their draws, at least one; not changed.
+        batch: the data.
         simulator: the simulator they were made with.
         seed: of the second starts.
         progress: called with one line per iteration, and one for each lower minimum.
@@ -37,10 +45,6 @@ def lower_minima(
     Returns:
         Model -> fit, those whose new minimum is lower, without draws.
     """
-    best = min(fit.cost for fit in weighed.fits)
-    fits = [fit for fit in weighed.fits if not fit.out_of_the_running(best) and _excess(fit) > _MORE]
-    if not fits:
-        return {}
     starts, nuisances = [], []
     for fit in fits:
         assert fit.sample is not None
@@ -51,7 +55,7 @@ def lower_minima(
     belief = Belief(tuple(fit.prior for fit in fits), torch.zeros(len(fits), dtype=torch.float64))
     found = assimilate(
         belief,
-        weighed.batch,
+        batch,
         simulator,
         seed=seed,
         options=_OPTIONS,
@@ -60,10 +64,11 @@ def lower_minima(
         warn=False,
         progress=progress,
     )
-    lower = {new.model: new for old, new in zip(fits, found.fits, strict=True) if new.cost < old.cost - _LOWER}
+    before = {fit.model: fit.cost for fit in fits}
+    lower = {fit.model: fit for fit in found.fits if fit.cost < before[fit.model] - _LOWER}
     if progress:
         for model, fit in lower.items():
-            progress(f"{model}: draws found a minimum that is {weighed[model].cost - fit.cost:.1f} nats lower")
+            progress(f"{model}: draws found a minimum that is {before[model] - fit.cost:.1f} nats lower")
     return lower
 
 

@@ -13,7 +13,7 @@ from all draws stays unseen here; against that stands the agreement of the start
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -21,7 +21,7 @@ from torch import Tensor
 from imr_torch.assimilate.conditional import conditional_nuisances, possible_nuisances
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.importance import ImportanceSample, smooth
-from imr_torch.assimilate.lower import lower_minima
+from imr_torch.assimilate.lower import has_a_better_draw, lower_minima
 from imr_torch.assimilate.proposals import Kernels, mixture_log_prob, student_draws, student_log_prob
 from imr_torch.assimilate.ridge import trace_ridges
 from imr_torch.errors import ConvergenceError, InputDataError
@@ -30,6 +30,7 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
+_REFITS = 2  # times that a model is fitted again, at most
 _FREEDOM = 15
 """Degrees of freedom of what proposes nuisances: heavier tails than a Gaussian's, which costs 3 % of the draws an experiment
 where the posterior is one. Of 17 models of real files 3 were refused by a Gaussian, 1 by these (or 7, at 8 % an experiment)."""
@@ -71,6 +72,30 @@ class _Round:
         return _standard_log_prob(self.controls).sum(1)
 
 
+@dataclass
+class _Course:
+    """A model on its way to a verdict: the fit with the draws of its last round, and what led to them.
+
+    Args:
+        fit: the fit.
+        refits: times that it was made again, or tried to be.
+        proposals: of each round since.
+        parts: draws of each round since.
+        drawn: rounds in all.
+    """
+
+    fit: ModelFit
+    refits: int = 0
+    proposals: list[Kernels] = field(default_factory=list)
+    parts: list[_Round] = field(default_factory=list)
+    drawn: int = 0
+
+    @property
+    def refused(self) -> bool:
+        """Whether the draws so far do not make the answer one to be trusted."""
+        return self.fit.verdict is Verdict.REFUSED
+
+
 def weigh(
     assimilation: Assimilation,
     simulator: Simulator,
@@ -94,7 +119,7 @@ def weigh(
             made for, which after the first round are those of the fit's Gaussian.
         hopeless: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
             evidence is, by weights that can be leant on.
-        refit: whether a model of which a draw comes upon a lower minimum is fitted again from there, and weighed again.
+        refit: whether a model of which a draw comes upon a lower minimum is fitted again from there, and weighed anew.
         progress: called with one line per round.
 
     Returns:
@@ -106,44 +131,56 @@ def weigh(
     """
     if samples < 25 or rounds < 1:
         raise InputDataError(f"weigh: samples {samples} must be at least 25, and rounds {rounds} at least 1.")
-    fits, batch = tuple(replace(fit, sample=None) for fit in assimilation.fits), assimilation.batch
-    proposals: dict[str, list[Kernels]] = {fit.model: [Kernels.about(fit.mean, fit.chol)] for fit in fits}
-    parts: dict[str, list[_Round]] = {fit.model: [] for fit in fits}
-    found = {fit.model: fit for fit in fits}
-    waiting = list(fits)
-    for number in range(rounds):
-        count = samples * 2 ** max(0, number - 1)
-        again = simulator if number else None
-        draws = [_draw(f, batch, proposals[f.model][-1], count, child(seed, "weigh", f.model, number), again) for f in waiting]
-        for fit, part in zip(waiting, _simulate(waiting, draws, batch, simulator), strict=True):
-            parts[fit.model].append(part)
-            found[fit.model] = _judge(found[fit.model], proposals[fit.model][-1], part)
+    batch = assimilation.batch
+    courses = [_Course(replace(fit, sample=None)) for fit in assimilation.fits]
+    waiting, number = courses, 0
+    while waiting:
+        number += 1
+        _propose(waiting, batch, simulator)
+        draws = [_draw(course, batch, samples, seed, simulator) for course in waiting]
+        for course, part in zip(waiting, _simulate([c.fit for c in waiting], draws, batch, simulator), strict=True):
+            course.parts.append(part)
+            course.drawn += 1
+            course.fit = _judge(course.fit, course.proposals[-1], part)
         if progress:
-            progress(f"draws: round {number + 1}, " + ", ".join(f"{f.model} {found[f.model].trust}" for f in waiting))
-        ahead = _ahead(list(found.values()), hopeless)
-        waiting = [fit for fit in waiting if found[fit.model].verdict is Verdict.REFUSED and fit.model in ahead]
-        if not waiting or number == rounds - 1:
-            break
-        if number == 0:
-            made = trace_ridges(waiting, batch, simulator)
+            progress(f"draws: round {number}, " + ", ".join(f"{c.fit.model} {c.fit.trust}" for c in waiting))
+        if refit:
+            _fit_again(waiting, courses, batch, simulator, child(seed, "refit", number), progress)
+        ahead = _ahead([course.fit for course in courses], hopeless)
+        waiting = [c for c in waiting if not c.parts or (c.refused and len(c.parts) < rounds and c.fit.model in ahead)]
+    return replace(assimilation, fits=tuple(course.fit for course in courses))
+
+
+def _fit_again(
+    drawn: list[_Course],
+    courses: list[_Course],
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    seed: int,
+    progress: Progress | None,
+) -> None:
+    """Take lower minima that the last round's draws of some of the courses came upon in place of their fits."""
+    best = min(course.fit.cost for course in courses)
+    doubtful = [course for course in drawn if course.refits < _REFITS and has_a_better_draw(course.fit, best)]
+    if not doubtful:
+        return
+    lower = lower_minima([course.fit for course in doubtful], batch, simulator, seed=seed, progress=progress)
+    for course in doubtful:
+        course.refits += 1
+        if course.fit.model in lower:
+            course.fit, course.proposals, course.parts = lower[course.fit.model], [], []
+
+
+def _propose(courses: list[_Course], batch: ExperimentBatch, simulator: Simulator) -> None:
+    """Add the proposal of the next round: the fit's Gaussian, then its ridge, then one from all its draws so far."""
+    second = [course for course in courses if len(course.parts) == 1]
+    ridges = iter(trace_ridges([course.fit for course in second], batch, simulator) if second else ())
+    for course in courses:
+        if not course.parts:
+            proposal = Kernels.about(course.fit.mean, course.fit.chol)
         else:
-            made = [_again(proposals[fit.model], parts[fit.model]) for fit in waiting]
-        for fit, proposal in zip(waiting, made, strict=True):
-            proposals[fit.model].append(proposal)
-    weighed = replace(assimilation, fits=tuple(found[fit.model] for fit in fits))
-    lower = lower_minima(weighed, simulator, seed=child(seed, "refit"), progress=progress) if refit else {}
-    if not lower:
-        return weighed
-    again = weigh(
-        replace(assimilation, fits=tuple(lower.values())),
-        simulator,
-        seed=child(seed, "again"),
-        samples=samples,
-        rounds=rounds,
-        refit=False,
-        progress=progress,
-    )
-    return replace(weighed, fits=tuple(again[fit.model] if fit.model in lower else fit for fit in weighed.fits))
+            proposal = next(ridges) if len(course.parts) == 1 else _again(course.proposals, course.parts)
+        course.proposals.append(proposal)
 
 
 def _ahead(fits: list[ModelFit], hopeless: float | None) -> set[str]:
@@ -157,12 +194,12 @@ def _ahead(fits: list[ModelFit], hopeless: float | None) -> set[str]:
     return near - {model for model, value in evidence.items() if value < most - hopeless}
 
 
-def _draw(
-    fit: ModelFit, batch: ExperimentBatch, proposal: Kernels, samples: int, seed: int, simulator: Simulator | None
-) -> _Draws:
-    """Draws of the gel, and of the nuisances given the gel; those are placed anew for each gel if there is a simulator."""
-    source, experiments = generator(seed), len(batch.experiments)
-    controls = proposal.draw(samples, source)
+def _draw(course: _Course, batch: ExperimentBatch, samples: int, seed: int, simulator: Simulator) -> _Draws:
+    """Draws of the gel, and of the nuisances given the gel; those are placed anew for each gel after the first round."""
+    fit, number = course.fit, len(course.parts)
+    samples *= 2 ** max(0, number - 1)
+    source, experiments = generator(child(seed, "weigh", fit.model, course.drawn)), len(batch.experiments)
+    controls = course.proposals[-1].draw(samples, source)
     lots = torch.rand(samples, experiments, generator=source, dtype=torch.float64)
     if not bool((batch.nuisance_sds > 0.0).any()):
         still = torch.zeros(samples, 1, experiments, 3, dtype=torch.float64)
@@ -172,7 +209,7 @@ def _draw(
     half = torch.where(uncertain, student_draws(normal.shape, _FREEDOM, source), normal)
     noise = torch.cat((half, -half), dim=1)
     centre, chol = fit.nuisances_at(controls), fit.nuisance_chol.expand(samples, -1, -1, -1)
-    if simulator is not None:
+    if number:
         centre, chol = conditional_nuisances(fit.parameters(controls), centre, chol, batch, simulator)
     deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)[..., 0]
     nuisances = centre[:, None] + deviation

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from imr_torch.assimilate import Assimilation, EnsembleOptions, Verdict, assimilate, weigh
-from imr_torch.assimilate.lower import lower_minima
+from imr_torch.assimilate.lower import has_a_better_draw
 from imr_torch.observe import Nuisance
 from tests.linear import LinearSimulator, exact, experiments, prior
 
@@ -44,12 +44,23 @@ def test_that_it_stays_where_that_is_not_asked_for(right: Assimilation) -> None:
     assert weigh(wrong, LinearSimulator(), seed=0, refit=False).fits[0].cost == wrong.fits[0].cost
 
 
-def test_that_nothing_is_simulated_where_no_draw_is_more_probable_or_the_model_is_far_behind(right: Assimilation) -> None:
-    def unused(*_args, **_kwargs):
-        raise AssertionError("a fit was made")
-
-    sound = weigh(right, LinearSimulator(), seed=0, refit=False)
-    assert lower_minima(sound, unused, seed=0) == {}
+def test_that_a_draw_is_better_only_above_another_minimum_and_of_a_model_that_may_matter(right: Assimilation) -> None:
+    sound = weigh(right, LinearSimulator(), seed=0, refit=False).fits[0]
+    assert not has_a_better_draw(sound, sound.cost)
     wrong = weigh(ended_too_high(right, 4.0), LinearSimulator(), seed=0, refit=False).fits[0]
-    rival = replace(sound.fits[0], cost=wrong.cost - 200.0)
-    assert lower_minima(replace(sound, fits=(wrong, rival)), unused, seed=0) == {}
+    assert has_a_better_draw(wrong, wrong.cost)
+    assert not has_a_better_draw(wrong, wrong.cost - 200.0)
+
+
+@pytest.mark.parametrize("limit", [1, 2])
+def test_that_a_fit_that_only_looks_too_high_keeps_its_minimum_and_is_weighed_to_the_end(
+    right: Assimilation, monkeypatch: pytest.MonkeyPatch, limit: int
+) -> None:
+    monkeypatch.setattr("imr_torch.assimilate.trust._REFITS", limit)
+    fit, said = right.fits[0], []
+    narrow = replace(right, fits=(replace(fit, nuisance_chol=2.0 * fit.nuisance_chol),))
+    weighed = weigh(narrow, LinearSimulator(), seed=0, progress=said.append).fits[0]
+    assert sum(line.startswith("assimilation: iteration 1,") for line in said) == limit
+    assert weighed.cost == fit.cost
+    assert weighed.sample.rounds == 2
+    assert not any("draws found" in line for line in said)
