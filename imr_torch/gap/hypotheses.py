@@ -5,7 +5,7 @@ models does so for causes. Fits of effects start at the null fit, with the effec
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
@@ -23,6 +23,7 @@ SPREAD = 1e-5
 """Of ensembles: differences on one side err by curvature times residual, and a gap may leave residuals of many sd."""
 
 _ROUGH = EnsembleOptions(gradient=1e-2, starts=2)
+_MANY = 6  # starts where fewer disagree
 _APART = 0.3  # prior standard deviations between the starts of the null fit
 _FAR = 4.0  # prior standard deviations of a nuisance that are not believed at once
 
@@ -94,12 +95,26 @@ def fit_null(
     Where there are repeats the search begins with polytropic bubbles, which are far cheaper; the simulator's own fits start
     from their best and from perturbed copies of it. Single curves leave Rmax and time zero so uncertain that a fit may slip
     into a collapse between the wrong frames, with a clean certificate: there, and where a nuisance ends far out, scouts search.
-    A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals, is taken up again.
+    A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals, is taken up again; where
+    starts arrived and disagree, more of them are sent out.
     """
     fit = _search_null(base, batch, simulator, seed=seed, progress=progress)
-    if fit.certificate.gradient < EnsembleOptions().gradient:  # starts that arrived and disagree have no certificate
+    if fit.certificate.converged:
         return fit
-    return finish(fit, batch, simulator, seed=child(seed, "finish"), progress=progress)
+    if fit.certificate.gradient >= EnsembleOptions().gradient:
+        return finish(fit, batch, simulator, seed=child(seed, "finish"), progress=progress)
+    belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
+    many, own = EnsembleOptions(spread=SPREAD, starts=_MANY), child(seed, "again")
+    again = assimilate(belief, batch, simulator, seed=own, options=many, warn=False, progress=progress).fits[0]
+    return _lower(fit, again, many)
+
+
+def _lower(one: ModelFit, other: ModelFit, options: EnsembleOptions) -> ModelFit:
+    """The lower of two fits, certified also if the other search found that minimum too."""
+    low, high = sorted((one, other), key=lambda fit: fit.cost)
+    agreement = min(low.certificate.agreement, high.cost - low.cost)
+    converged = low.certificate.gradient < options.gradient and agreement < options.agreement
+    return replace(low, certificate=replace(low.certificate, agreement=agreement, converged=converged))
 
 
 def _search_null(

@@ -67,8 +67,32 @@ def test_that_a_fit_without_time_to_arrive_is_taken_up_again(monkeypatch) -> Non
     assert not hypotheses.fit_null(BASE, batch, simulator, seed=0).certificate.converged
 
 
-def test_that_starts_which_arrived_apart_are_not_called_converged_by_a_second_search(known, monkeypatch) -> None:
-    apart = replace(known, certificate=replace(known.certificate, gradient=1e-5, agreement=40.0, converged=False))
-    monkeypatch.setattr(hypotheses, "assimilate", lambda belief, batch, *_, **__: Assimilation(belief, batch, (apart,)))
+@pytest.mark.parametrize(
+    ("again", "agreement", "cost", "converged"),
+    [
+        (-3.05, 40.0, -3.05, True),
+        (-3.2, 40.0, -3.2, False),
+        (-9.0, 1e-6, -9.0, True),
+        (-9.0, 2.0, -9.0, False),
+        (7.0, 1e-6, -3.0, False),
+    ],
+)
+def test_that_starts_which_arrived_apart_are_certified_only_if_more_of_them_find_the_minimum_again(
+    known, monkeypatch, again, agreement, cost, converged
+) -> None:
+    def ended(cost: float, agreement: float, converged: bool) -> ModelFit:
+        certificate = replace(known.certificate, gradient=1e-5, agreement=agreement, converged=converged)
+        return replace(known, cost=cost, certificate=certificate)
+
+    searches = [ended(-3.0, 40.0, False), ended(again, agreement, agreement < 0.1)]
+    asked = []
+
+    def search(belief, batch, *_, options, **__) -> Assimilation:
+        asked.append(options.starts)
+        return Assimilation(belief, batch, (searches[len(asked) - 1],))
+
+    monkeypatch.setattr(hypotheses, "assimilate", search)
     batch = shoot({}, DESIGNS[:1], repeats=2, end=1.5)
-    assert not hypotheses.fit_null(BASE, batch, PolytropicSimulator(), seed=0).certificate.converged
+    fit = hypotheses.fit_null(BASE, batch, PolytropicSimulator(), seed=0)
+    assert (fit.cost, fit.certificate.converged) == (cost, converged)
+    assert asked == [3, 6]
