@@ -98,11 +98,12 @@ def fit_null(
     A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals, is taken up again; where
     starts arrived and disagree, more of them are sent out.
     """
+    enough = EnsembleOptions().gradient
     fit = _search_null(base, batch, simulator, seed=seed, progress=progress)
-    if fit.certificate.converged:
+    if fit.certificate.gradient >= enough:
+        fit = finish(fit, batch, simulator, seed=child(seed, "finish"), progress=progress)
+    if fit.certificate.converged or fit.certificate.gradient >= enough:
         return fit
-    if fit.certificate.gradient >= EnsembleOptions().gradient:
-        return finish(fit, batch, simulator, seed=child(seed, "finish"), progress=progress)
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
     many, own = EnsembleOptions(spread=SPREAD, starts=_MANY), child(seed, "again")
     again = assimilate(belief, batch, simulator, seed=own, options=many, warn=False, progress=progress).fits[0]
