@@ -31,6 +31,7 @@ from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 _REFITS = 2  # times that a model is fitted again, at most
+_PAIRS = 4  # of nuisances for each draw, from the third round on
 _FREEDOM = 15
 """Degrees of freedom of what proposes nuisances: heavier tails than a Gaussian's, which costs 3 % of the draws an experiment
 where the posterior is one. Of 17 models of real files 3 were refused by a Gaussian, 1 by these (or 7, at 8 % an experiment)."""
@@ -44,7 +45,7 @@ class _Draws:
         controls: ``n x d`` tensor.
         nuisances: ``n x K x E x 3`` tensor: opposite pairs, or (``K = 1``) all zero where none is uncertain.
         log_ratio: ``n x K x E`` tensor, log of prior over proposal of the nuisances.
-        lots: ``n x E`` tensor of uniform numbers, by which one of each pair is kept.
+        lots: ``n x E`` tensor of uniform numbers, by which one of the nuisances of each is kept.
     """
 
     controls: Tensor
@@ -114,7 +115,8 @@ def weigh(
         simulator: the simulator they were made with.
         seed: of the draws.
         samples: draws per model in the first two rounds, each one simulation per experiment (two where nuisances are
-            uncertain); every later round has twice as many as the one before, so that chance alone cannot go on refusing.
+            uncertain). Every later round has twice as many as the one before, so that chance alone cannot go on refusing;
+            but where nuisances are uncertain the third has as many, each with four times the nuisances.
         rounds: most rounds; a model stops when the weights are reliable and their moments those that the proposal was
             made for, which after the first round are those of the fit's Gaussian.
         hopeless: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
@@ -197,15 +199,17 @@ def _ahead(fits: list[ModelFit], hopeless: float | None) -> set[str]:
 def _draw(course: _Course, batch: ExperimentBatch, samples: int, seed: int, simulator: Simulator) -> _Draws:
     """Draws of the gel, and of the nuisances given the gel; those are placed anew for each gel after the first round."""
     fit, number = course.fit, len(course.parts)
-    samples *= 2 ** max(0, number - 1)
+    sure = not bool((batch.nuisance_sds > 0.0).any())
+    samples *= 2 ** max(0, number - (1 if sure else 2))
     source, experiments = generator(child(seed, "weigh", fit.model, course.drawn)), len(batch.experiments)
     controls = course.proposals[-1].draw(samples, source)
     lots = torch.rand(samples, experiments, generator=source, dtype=torch.float64)
-    if not bool((batch.nuisance_sds > 0.0).any()):
+    if sure:
         still = torch.zeros(samples, 1, experiments, 3, dtype=torch.float64)
         return _Draws(controls, still, still[..., 0], lots)
     uncertain = batch.nuisance_sds > 0.0
-    normal = torch.randn(samples, 1, experiments, 3, generator=source, dtype=torch.float64)
+    pairs = 1 if number < 2 else _PAIRS
+    normal = torch.randn(samples, pairs, experiments, 3, generator=source, dtype=torch.float64)
     half = torch.where(uncertain, student_draws(normal.shape, _FREEDOM, source), normal)
     noise = torch.cat((half, -half), dim=1)
     centre, chol = fit.nuisances_at(controls), fit.nuisance_chol.expand(samples, -1, -1, -1)
@@ -228,24 +232,26 @@ def _standard_log_prob(values: Tensor) -> Tensor:
 
 def _simulate(fits: list[ModelFit], draws: list[_Draws], batch: ExperimentBatch, simulator: Simulator) -> list[_Round]:
     """Likelihoods of the draws of all models, in one call of the simulator."""
-    pairs = draws[0].nuisances.shape[1]
-    parameters = torch.cat([fit.parameters(d.controls) for fit, d in zip(fits, draws, strict=True)])
-    nuisances = torch.cat([d.nuisances for d in draws])
-    possible = possible_nuisances(nuisances * batch.nuisance_sds, batch)
-    shifts = torch.where(possible[..., None], nuisances * batch.nuisance_sds, 0.0) if pairs > 1 else None
-    prediction = predict(simulator, parameters[:, None].expand(-1, pairs, -1), batch, shifts)
+    uncertain = bool((batch.nuisance_sds > 0.0).any())
+    counts = [d.nuisances.shape[:2] for d in draws]
+    gels = [fit.parameters(d.controls).repeat_interleave(k, 0) for fit, d, (_, k) in zip(fits, draws, counts, strict=True)]
+    shifts = torch.cat([d.nuisances.flatten(0, 1) for d in draws]) * batch.nuisance_sds
+    possible = possible_nuisances(shifts, batch)
+    shifts = torch.where(possible[..., None], shifts, 0.0) if uncertain else None
+    prediction = predict(simulator, torch.cat(gels), batch, shifts)
     likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0))
     likelihood = torch.where(possible, likelihood, -torch.inf)
-    rows = zip(draws, likelihood.split([len(d.controls) for d in draws]), strict=True)
-    return [_integrate(d, values) for d, values in rows]
+    rows = zip(draws, likelihood.split([n * k for n, k in counts]), counts, strict=True)
+    return [_integrate(d, values.unflatten(0, count)) for d, values, count in rows]
 
 
 def _integrate(draws: _Draws, likelihood: Tensor) -> _Round:
-    """Mean over each pair of nuisances of the likelihood (``n x K x E``), and one of the pair, in proportion to its part."""
+    """Mean over the nuisances of each draw of the likelihood (``n x K x E``), and one of them, in proportion to its part."""
     weights = likelihood + draws.log_ratio
     by_experiment = torch.logsumexp(weights, dim=1) - math.log(weights.shape[1])
-    second = draws.lots < torch.sigmoid((weights[:, -1] - weights[:, 0]).nan_to_num(0.0))
-    kept = torch.where(second[..., None], draws.nuisances[:, -1], draws.nuisances[:, 0])
+    share = torch.softmax(weights.flip(1).nan_to_num(neginf=-1e300), 1).cumsum(1)[:, :-1]
+    kept = weights.shape[1] - 1 - (draws.lots[:, None] >= share).sum(1)
+    kept = draws.nuisances.gather(1, kept[:, None, :, None].expand(-1, 1, -1, 3))[:, 0]
     return _Round(draws.controls, by_experiment, kept)
 
 

@@ -25,6 +25,8 @@ SPREAD = 1e-5
 _ROUGH = EnsembleOptions(gradient=1e-2, starts=2)
 _MANY = 6  # starts where fewer disagree
 _APART = 0.3  # prior standard deviations between the starts of the null fit
+_ALL_BUT = 0.1  # posterior standard deviations from a minimum at which a start that was cut short has found it
+_SAME = 0.5  # nats between fits of one minimum; each solve's own steps make some .3 of it where single curves are sharp
 _FAR = 4.0  # prior standard deviations of a nuisance that are not believed at once
 
 
@@ -113,9 +115,14 @@ def fit_null(
 def _lower(one: ModelFit, other: ModelFit, options: EnsembleOptions) -> ModelFit:
     """The lower of two fits, certified also if the other search found that minimum too."""
     low, high = sorted((one, other), key=lambda fit: fit.cost)
-    agreement = min(low.certificate.agreement, high.cost - low.cost)
-    converged = low.certificate.gradient < options.gradient and agreement < options.agreement
-    return replace(low, certificate=replace(low.certificate, agreement=agreement, converged=converged))
+    return _certified(low, high.cost - low.cost, options)
+
+
+def _certified(fit: ModelFit, agreement: float, options: EnsembleOptions) -> ModelFit:
+    """A fit with a certificate that counts agreement with other starts than its own, nats."""
+    agreement = min(fit.certificate.agreement, agreement)
+    converged = fit.certificate.gradient < options.gradient and agreement < options.agreement
+    return replace(fit, certificate=replace(fit.certificate, agreement=agreement, converged=converged))
 
 
 def _search_null(
@@ -184,11 +191,17 @@ def fit_hypotheses(
 def finish(
     fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None = None
 ) -> ModelFit:
-    """A fit that was cut short, taken up where it ended and from beside it, with a certificate of its own."""
+    """A fit that was cut short, taken up where it ended and from beside it.
+
+    A start beside it may end in another valley. The certificate then is that of the starts before, if they were all but there.
+    """
     options = EnsembleOptions(starts=2, spread=SPREAD)
     near = as_assimilation(fit, batch)
     found = assimilate(near.prior, batch, simulator, seed=seed, options=options, near=near, warn=False, progress=progress)
-    return found.fits[0]
+    ended = found.fits[0]
+    if fit.certificate.gradient < _ALL_BUT and abs(fit.cost - ended.cost) < _SAME:
+        return _certified(ended, fit.certificate.agreement, options)
+    return ended
 
 
 def as_assimilation(fit: ModelFit, batch: ExperimentBatch) -> Assimilation:

@@ -64,3 +64,27 @@ def test_that_a_fit_that_only_looks_too_high_keeps_its_minimum_and_is_weighed_to
     assert weighed.cost == fit.cost
     assert weighed.sample.rounds == 2
     assert not any("draws found" in line for line in said)
+
+
+def test_that_a_model_fitted_again_is_weighed_beside_others_whose_rounds_are_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All rounds are made; the third has several nuisances to a draw, of which one is kept in proportion to its weight."""
+    monkeypatch.setattr("imr_torch.assimilate.trust._Course.refused", True)
+    batch, options = experiments(3, nuisance=BOTH), EnsembleOptions(scouts=24, starts=2)
+    both = assimilate(prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=options)
+    wrong = replace(both, fits=(both.fits[0], *ended_too_high(replace(both, fits=both.fits[1:]), 4.0).fits))
+    said = []
+    weighed = weigh(wrong, LinearSimulator(), seed=0, samples=1024, rounds=3, progress=said.append)
+    assert sum(line.startswith("draws: round") for line in said) == 4
+    for fit in weighed.fits:
+        truth, sample = exact(fit.prior, batch), fit.sample
+        assert sample.rounds == 3
+        assert len(sample) == 1024
+        assert sample.log_evidence == pytest.approx(truth.log_evidence, abs=4.0 * sample.log_evidence_error)
+        weights = sample.weights[:, None, None]
+        mean = (weights * sample.nuisances).sum(0)
+        torch.testing.assert_close(mean, truth.nuisances, rtol=0.0, atol=0.1)
+        again = weigh(replace(both, fits=(both[fit.model],)), LinearSimulator(), seed=3, samples=1024, rounds=1).fits[0].sample
+        sd = (weights * (sample.nuisances - mean).square()).sum(0).sqrt()
+        mean = (again.weights[:, None, None] * again.nuisances).sum(0)
+        expected = (again.weights[:, None, None] * (again.nuisances - mean).square()).sum(0).sqrt()
+        torch.testing.assert_close(sd, expected, rtol=0.1, atol=0.0)
