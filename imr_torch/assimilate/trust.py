@@ -30,7 +30,7 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
-_REFITS = 2  # times that a model is fitted again, at most
+_REFITS = 4  # times that a model is fitted again, at most
 _PAIRS = 4  # of nuisances for each draw, from the third round on
 _FREEDOM = 15
 """Degrees of freedom of what proposes nuisances: heavier tails than a Gaussian's, which costs 3 % of the draws an experiment
