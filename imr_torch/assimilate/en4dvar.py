@@ -22,6 +22,8 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
+_DESCENTS = 3  # times that models may be sent out again into a deeper valley of their nuisances
+
 
 def assimilate(
     belief: Belief,
@@ -68,15 +70,24 @@ def assimilate(
         )
     search = Search(belief, batch, simulator, options, seed, near, starts, nuisances)
     race = Race(search)
-    for iteration in range(options.iterations):
-        if bool(search.finished.all()):
+    _run(search, race, progress)
+    for _ in range(_DESCENTS):
+        if not race.descend():
             break
-        search.iterate()
-        race.referee()
-        if progress:
-            progress(f"assimilation: iteration {iteration + 1}, {search.report()}")
+        _run(search, race, progress)
     fits = search.fits()
     for fit in fits:
         if warn and not fit.certificate.converged:
             warnings.warn(f"{fit.model}: {fit.certificate}", ConvergenceWarning, stacklevel=2)
     return Assimilation(belief, batch, fits)
+
+
+def _run(search: Search, race: Race, progress: Progress | None) -> None:
+    """Iterate until all chains rest or their time is over."""
+    for iteration in range(search.options.iterations):
+        if bool(search.finished.all()):
+            return
+        search.iterate()
+        race.referee()
+        if progress:
+            progress(f"assimilation: iteration {iteration + 1}, {search.report()}")

@@ -13,6 +13,7 @@ from imr_torch.assimilate.search import NEAR, Search, around
 
 _AWAY = (10.0, 3.0)  # posterior standard deviations by which a first and a second restart are away
 _FAIR = 0.2  # share of the best chain's gain from which a model with several minima is given all its starts
+_FAR_BEHIND = 50.0  # nats between minima that no valley of the nuisances makes up for
 _RESERVE = 10.0  # times ``hopeless`` by which a model may lag and still have its other starts sent out
 
 
@@ -98,7 +99,35 @@ class Race:
                 continue
             away = _AWAY[self._restarts[model]]
             self._restarts[model] += 1
-            free = len(search.belief.models[model].names)
-            noise = torch.stack([around(search.chol[rows[0], :free, :free], search.source, away) for _ in apart])
-            near = search.gel[rows[0]] + torch.nn.functional.pad(noise, (0, search.size - free))
-            search.send(apart, near, search.nuisances[rows[0]])
+            search.send(apart, self._near(rows[0], away, len(apart)), search.nuisances[rows[0]])
+
+    def _near(self, chain: Tensor, away: float, count: int) -> Tensor:
+        """``count x size`` gels about a chain's, so many posterior standard deviations away."""
+        search = self._search
+        free = len(search.belief.models[int(search.model[chain])].names)
+        noise = torch.stack([around(search.chol[chain, :free, :free], search.source, away) for _ in range(count)])
+        return search.gel[chain] + torch.nn.functional.pad(noise, (0, search.size - free))
+
+    def descend(self) -> bool:
+        """Once all rest: send models out again whose nuisances have a deeper valley where they ended; whether any has.
+
+        Two starts set out, from the best and from beside it. Models far behind are not asked, and in a race of models nobody
+        is: those start from nuisances of a fit that was.
+        """
+        search = self._search
+        if search.options.hopeless is not None:
+            return False
+        every = (torch.nonzero(search.model == model)[:, 0] for model in range(len(search.belief.models)))
+        ranked = [rows[torch.argsort(search.cost[rows])][:2] for rows in every]
+        far = search.cost.min() + _FAR_BEHIND
+        ranked = [rows for rows in ranked if bool(torch.isfinite(search.cost[rows[0]]) & (search.cost[rows[0]] < far))]
+        if not ranked:
+            return False
+        best = torch.stack([rows[0] for rows in ranked])
+        deeper = search.deeper(best)
+        moved = (deeper != search.nuisances[best]).flatten(1).any(1)
+        for row in torch.nonzero(moved)[:, 0].tolist():
+            gels = torch.cat((search.gel[best[row]][None], self._near(best[row], _AWAY[0], 1)))
+            search.send(ranked[row], gels, deeper[row])
+            self._restarts[int(search.model[best[row]])] = 0
+        return bool(moved.any())

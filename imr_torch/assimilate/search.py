@@ -20,6 +20,7 @@ from imr_torch.assimilate.blunt import Blunt
 from imr_torch.assimilate.cost import equations_at, joint_cost, sides
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
 from imr_torch.assimilate.gauss_newton import NormalEquations
+from imr_torch.assimilate.valleys import deeper_nuisances
 from imr_torch.errors import ConvergenceError, InputDataError, ShapeError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, predict
@@ -381,6 +382,11 @@ class Search:
         self.finished[chains] = ~torch.isfinite(self.cost[chains])
         self.led[chains], self.bluntly[chains], self.damping[chains] = False, False, 1e-2
         self._forget(chains)
+
+    def deeper(self, chains: Tensor) -> Tensor:
+        """Nuisances ``C x E x 3`` in the deepest valley of each experiment at the gels of chains; their own where none is."""
+        parameters = self._parameters(self.model[chains], self.gel[chains])
+        return deeper_nuisances(parameters, self.nuisances[chains], self.batch, self.simulator)
 
     def report(self) -> str:
         """Costs and gradients of the best start of each model."""
