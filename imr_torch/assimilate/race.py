@@ -13,7 +13,7 @@ from imr_torch.assimilate.search import NEAR, Search, around
 
 _AWAY = (10.0, 3.0)  # posterior standard deviations by which a first and a second restart are away
 _FAIR = 0.2  # share of the best chain's gain from which a model with several minima is given all its starts
-_FAR_BEHIND = 50.0  # nats between minima that no valley of the nuisances makes up for
+_FAR_BEHIND = 200.0  # nats between minima that no valley of the nuisances is likely to make up for
 _RESERVE = 10.0  # times ``hopeless`` by which a model may lag and still have its other starts sent out
 
 
