@@ -96,3 +96,20 @@ def test_that_starts_which_arrived_apart_are_certified_only_if_more_of_them_find
     fit = hypotheses.fit_null(BASE, batch, PolytropicSimulator(), seed=0)
     assert (fit.cost, fit.certificate.converged) == (cost, converged)
     assert asked == [3, 6]
+
+
+@pytest.mark.parametrize(
+    ("gradient", "cost", "converged"),
+    [(0.02, -2.8, True), (0.02, -2.0, False), (0.4, -2.8, False)],  # as before; another minimum; starts that were far away
+)
+def test_that_a_fit_taken_up_again_counts_the_agreement_of_starts_that_were_all_but_there(
+    known, monkeypatch, gradient, cost, converged
+) -> None:
+    before = replace(
+        known, cost=-3.0, certificate=replace(known.certificate, gradient=gradient, agreement=1e-3, converged=False)
+    )
+    apart = replace(known.certificate, gradient=1e-5, agreement=84.0, converged=False)
+    ended = replace(known, cost=cost, certificate=apart)
+    monkeypatch.setattr(hypotheses, "assimilate", lambda belief, batch, *_, **__: Assimilation(belief, batch, (ended,)))
+    batch = shoot({}, DESIGNS[:1], repeats=2, end=1.5)
+    assert hypotheses.finish(before, batch, PolytropicSimulator(), seed=0).certificate.converged is converged
