@@ -4,8 +4,8 @@ from imr_torch.assimilate.en4dvar import assimilate
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
 from imr_torch.assimilate.importance import ImportanceSample
+from imr_torch.assimilate.options import EnsembleOptions
 from imr_torch.assimilate.published import PublishedFit, PublishedOptions, as_one_curve, assimilate_published
-from imr_torch.assimilate.search import EnsembleOptions
 from imr_torch.assimilate.trust import weigh
 from imr_torch.assimilate.unknown_noise import NOISE_ROUNDS, assimilate_estimating_noise
 

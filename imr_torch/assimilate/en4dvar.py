@@ -14,11 +14,15 @@ from collections.abc import Sequence
 from torch import Tensor
 
 from imr_torch.assimilate.fit import Assimilation
+from imr_torch.assimilate.options import EnsembleOptions
+from imr_torch.assimilate.problem import Problem
 from imr_torch.assimilate.race import Race
-from imr_torch.assimilate.search import EnsembleOptions, Search
+from imr_torch.assimilate.search import Search
+from imr_torch.assimilate.starts import beside, given, scouted
 from imr_torch.errors import ConvergenceWarning, InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
+from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
@@ -62,13 +66,21 @@ def assimilate(
         ConvergenceError: if fewer starts than two could be simulated at all for some model.
     """
     options = options or EnsembleOptions()
-    largest = max(len(part.names) for part in belief.models)
-    if options.members is not None and options.members < 2 * largest:
+    problem, source = Problem(belief, batch, simulator), generator(child(seed, "assimilate"))
+    if options.members is not None and options.members < 2 * problem.size:
         raise InputDataError(
-            f"EnsembleOptions.members is {options.members}: {largest} parameters need at least {2 * largest} members, "
-            "or the ensemble is degenerate."
+            f"EnsembleOptions.members is {options.members}: {problem.size} parameters need at least {2 * problem.size} "
+            "members, or the ensemble is degenerate."
         )
-    search = Search(belief, batch, simulator, options, seed, near, starts, nuisances)
+    if starts is not None:
+        begun = given(problem, starts, nuisances)
+    elif near is not None:
+        begun = beside(problem, near, options, source)
+    else:
+        begun = scouted(problem, options, source)
+    far = starts is None and near is None
+    bluntly = far if options.blunt is None else options.blunt
+    search = Search(problem, begun, options, bluntly=bluntly, source=source)
     race = Race(search)
     _run(search, race, progress)
     for _ in range(_DESCENTS):

@@ -12,7 +12,8 @@ import torch
 
 from imr_torch.assimilate.en4dvar import assimilate
 from imr_torch.assimilate.fit import ModelFit
-from imr_torch.assimilate.search import EnsembleOptions, around
+from imr_torch.assimilate.options import EnsembleOptions
+from imr_torch.assimilate.starts import around
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate.fit import PROMISED
-from imr_torch.assimilate.search import NEAR, Search, around
+from imr_torch.assimilate.search import NEAR, Search
+from imr_torch.assimilate.starts import around
 
 _AWAY = (10.0, 3.0)  # posterior standard deviations by which a first and a second restart are away
 _FAIR = 0.2  # share of the best chain's gain from which a model with several minima is given all its starts
@@ -106,7 +107,7 @@ class Race:
         search = self._search
         free = len(search.belief.models[int(search.model[chain])].names)
         noise = torch.stack([around(search.chol[chain, :free, :free], search.source, away) for _ in range(count)])
-        return search.gel[chain] + torch.nn.functional.pad(noise, (0, search.size - free))
+        return search.gel[chain] + search.problem.padded(noise)
 
     def descend(self) -> bool:
         """Once all rest: send models out again whose nuisances have a deeper valley where they ended; whether any has.

@@ -10,22 +10,19 @@ Which chains are under way is decided elsewhere (:mod:`imr_torch.assimilate.race
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import torch
 from torch import Tensor
 
 from imr_torch.assimilate.blunt import Blunt
 from imr_torch.assimilate.cost import equations_at, joint_cost, sides
-from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
+from imr_torch.assimilate.fit import Certificate, ModelFit
 from imr_torch.assimilate.gauss_newton import NormalEquations
+from imr_torch.assimilate.options import EnsembleOptions
+from imr_torch.assimilate.problem import Problem
+from imr_torch.assimilate.starts import Starts
 from imr_torch.assimilate.valleys import deeper_nuisances
-from imr_torch.errors import ConvergenceError, InputDataError, ShapeError
-from imr_torch.material import Belief
-from imr_torch.observe import ExperimentBatch, predict
-from imr_torch.random import child, generator
-from imr_torch.simulate import Simulator
 
 NEAR = 1.0
 """Posterior standard deviations from a minimum at which a chain keeps its leader, and a second start may set out."""
@@ -33,49 +30,7 @@ NEAR = 1.0
 _DAMPINGS = (0.0, 1.0, 30.0)  # tried together, times the current damping
 _STUCK = 1e4  # damping at which nothing lowers the cost any more
 _LONGEST_STEP = 4.0  # prior standard deviations
-_RESTART = 0.25  # prior standard deviations
-_BESIDE = 10.0  # posterior standard deviations between an earlier optimum and the starts about it
 _AHEAD = 300  # bubbles for whose sake it pays to take the neighbourhoods of all trial steps along, and save a call
-
-
-@dataclass(frozen=True)
-class EnsembleOptions:
-    """How the assimilation searches.
-
-    Args:
-        members: ensemble size, even, in opposite pairs; when not given, one for each free parameter, on one side of it,
-            which is as good while ``spread`` is small.
-        scouts: prior draws from which the starts are chosen.
-        starts: independent searches per model; two or more, so that they can agree.
-        iterations: most Gauss-Newton iterations.
-        spread: size of the ensemble in posterior standard deviations.
-        gradient: tolerance of the whitened gradient; 1e-3 leaves 5e-7 nats.
-        agreement: tolerance of the cost difference between the two best starts, nats.
-        hopeless: a start rests, unconverged, once its cost less what its gradient promises is worse than the best cost of
-            any model by more than this, nats; never when not given. When given, models race: the best start of each sets
-            out, and a second follows once that is near a minimum and not too far behind; of more than two, all follow from
-            farther behind too.
-        blunt: whether chains leave the frames next to collapses out until they are near a minimum
-            (:mod:`imr_torch.assimilate.blunt`); when not given, those that set out from scouts do.
-    """
-
-    members: int | None = None
-    scouts: int = 192
-    starts: int = 3
-    iterations: int = 60
-    spread: float = 1e-4
-    gradient: float = 1e-3
-    agreement: float = 0.1
-    hopeless: float | None = None
-    blunt: bool | None = None
-
-    def __post_init__(self) -> None:
-        if self.members is not None and (self.members < 2 or self.members % 2):
-            raise InputDataError(f"EnsembleOptions.members is {self.members}; expected an even number >= 2.")
-        if not 2 <= self.starts <= self.scouts:
-            raise InputDataError(f"EnsembleOptions needs 2 <= starts <= scouts, got {self.starts} and {self.scouts}.")
-        if not 0.0 < self.spread <= 2.0 or self.iterations < 1:
-            raise InputDataError(f"EnsembleOptions: spread {self.spread} must be in (0, 2], iterations {self.iterations} >= 1.")
 
 
 def _antithetic(members: int, size: int, source: torch.Generator) -> Tensor:
@@ -84,153 +39,52 @@ def _antithetic(members: int, size: int, source: torch.Generator) -> Tensor:
     return torch.cat((half, -half)) * (members / 2) ** 0.5
 
 
-def around(chol: Tensor, source: torch.Generator, away: float) -> Tensor:
-    """A ``d`` perturbation, ``away`` posterior standard deviations (``chol``, ``d x d``) or, if less, a quarter of the prior's.
-
-    Where the data are sharp, a step on the prior's scale leads out of the minimum into whichever lies next to it.
-    """
-    noise = torch.randn(chol.shape[0], generator=source, dtype=torch.float64)
-    step = away * (chol @ noise)
-    return step * (_RESTART * noise.norm() / step.norm().clamp_min(1e-300)).clamp_max(1.0)
-
-
 class Search:
-    """The state of all chains (models x starts) and one Gauss-Newton iteration of them."""
+    """The state of all chains (models x starts) and one Gauss-Newton iteration of them.
+
+    Args:
+        problem: what is lowered.
+        starts: where the chains set out.
+        options: how to search.
+        bluntly: whether chains leave the frames next to collapses out at first.
+        source: of ensembles and restarts.
+    """
 
     def __init__(
-        self,
-        belief: Belief,
-        batch: ExperimentBatch,
-        simulator: Simulator,
-        options: EnsembleOptions,
-        seed: int,
-        near: Assimilation | None,
-        starts: Sequence[Tensor] | None,
-        nuisances: Sequence[Tensor] | None,
+        self, problem: Problem, starts: Starts, options: EnsembleOptions, *, bluntly: bool, source: torch.Generator
     ) -> None:
-        self.belief, self.batch, self.simulator, self.options = belief, batch, simulator, options
-        self.sds = batch.nuisance_sds
-        self.sides = sides(batch)
-        self._blunt = Blunt(batch)
-        self.size = max(len(part.names) for part in belief.models)
-        source = generator(child(seed, "assimilate"))
+        self.problem, self.belief, self.batch, self.options = problem, problem.belief, problem.batch, options
+        self.source = source
+        self.sides = sides(problem.batch)
+        self._blunt = Blunt(problem.batch)
         if options.members is None:
-            self.anomalies = options.spread * torch.eye(self.size, dtype=torch.float64)
+            self.anomalies = options.spread * torch.eye(problem.size, dtype=torch.float64)
         else:
-            self.anomalies = options.spread * _antithetic(options.members, self.size, source)
-        counts = torch.tensor([len(rows) for rows in starts] if starts else [options.starts] * len(belief.models))
-        self.model = torch.arange(len(belief.models)).repeat_interleave(counts)
-        if starts is not None:
-            self._start_at(starts, nuisances)
-        elif near is not None:
-            self._start_near(near, source)
-        else:
-            self._scout(source)
-        chains = len(self.model)
-        blunt = options.blunt if options.blunt is not None else starts is None and near is None
-        self.bluntly = torch.full((chains,), blunt and self._blunt.of_use)
+            self.anomalies = options.spread * _antithetic(options.members, problem.size, source)
+        self.model, chains = starts.model, len(starts.model)
+        self.gel, self.nuisances, self.cost = starts.gel.clone(), starts.nuisances.clone(), starts.cost.clone()
+        self.bluntly = torch.full((chains,), bluntly and self._blunt.of_use)
         self.aim = self.cost.clone()  # what a chain lowers: the cost, or that of its frames while it is blunt
         self.damping = torch.full((chains,), 1e-2, dtype=torch.float64)
-        self.chol = 0.5 * torch.eye(self.size, dtype=torch.float64).repeat(chains, 1, 1)
+        self.chol = 0.5 * torch.eye(problem.size, dtype=torch.float64).repeat(chains, 1, 1)
         self.led = torch.zeros(chains, dtype=torch.bool)  # whether a chain keeps its leader
         self.leader_gel, self.leader_nuisances = self.gel.clone(), self.nuisances.clone()
         self.finished = ~torch.isfinite(self.cost)  # a start that cannot be simulated does not set out
-        self.source = source
         self.gradient = torch.full((chains,), torch.inf, dtype=torch.float64)
         self.iterations = torch.zeros(chains, dtype=torch.long)
         self.members = self.failures = 0
         self.equations: list[NormalEquations | None] = [None] * chains
         self.around: dict[int, tuple[Tensor, Tensor]] = {}  # chain -> anomalies and predictions about where it stands
 
-    def _scout(self, source: torch.Generator) -> None:
-        """Start each model from the best of many prior draws that are not neighbours of each other."""
-        options, models, experiments = self.options, len(self.belief.models), self.batch.designs.shape[0]
-        draws = torch.randn(models, options.scouts, self.size, generator=source, dtype=torch.float64)
-        draws[:, 0] = 0.0
-        for i, part in enumerate(self.belief.models):
-            draws[i, :, len(part.names) :] = 0.0  # padding: controls that this model does not have
-        index = torch.arange(models)[:, None].expand(models, options.scouts)
-        still = torch.zeros(models, options.scouts, experiments, 3, dtype=torch.float64)
-        cost = self._cost_alone(index.reshape(-1), draws.reshape(-1, self.size), still.reshape(-1, experiments, 3))
-        cost = cost.reshape(models, options.scouts)
-        chosen = [self._distinct(i, draws[i], cost[i]) for i in range(models)]
-        self.gel = torch.cat([draws[i, rows] for i, rows in enumerate(chosen)])
-        self.cost = torch.cat([cost[i, rows] for i, rows in enumerate(chosen)])
-        self.nuisances = torch.zeros(len(self.model), experiments, 3, dtype=torch.float64)
-
-    def _start_at(self, starts: Sequence[Tensor], nuisances: Sequence[Tensor] | None) -> None:
-        """Start each model at given controls."""
-        free = [len(part.names) for part in self.belief.models]
-        if [rows.shape[1] for rows in starts] != free or min(len(rows) for rows in starts) < 2:
-            shapes = [tuple(rows.shape) for rows in starts]
-            raise ShapeError(f"starts has shapes {shapes}; expected two rows or more of {free} free parameters.")
-        self.gel = torch.cat([torch.nn.functional.pad(rows, (0, self.size - rows.shape[1])) for rows in starts])
-        if nuisances is None:
-            self.nuisances = torch.zeros(len(self.model), *self.sds.shape, dtype=torch.float64)
-        else:
-            self.nuisances = torch.stack([nuisances[i] for i in self.model.tolist()]).clone()
-        self.cost = self._cost_alone(self.model, self.gel, self.nuisances)
-
-    def _start_near(self, near: Assimilation, source: torch.Generator) -> None:
-        """Start each model at an earlier optimum and at perturbed copies of it."""
-        fits = [near[self.belief.keys[i]] for i in self.model.tolist()]
-        pad = torch.nn.functional.pad
-        noise = torch.stack([pad(around(fit.chol, source, _BESIDE), (0, self.size - len(fit.mean))) for fit in fits])
-        noise[:: self.options.starts] = 0.0
-        optimum = torch.stack([pad(fit.mean, (0, self.size - len(fit.mean))) for fit in fits])
-        self.nuisances = torch.stack([fit.nuisances for fit in fits])
-        failed = torch.isinf(self._cost_alone(self.model, optimum + noise, self.nuisances))
-        self.gel = torch.where(failed[:, None], optimum, optimum + noise)
-        self.cost = self._cost_alone(self.model, self.gel, self.nuisances)
-
-    def _distinct(self, model: int, draws: Tensor, cost: Tensor) -> Tensor:
-        """Rows of the best scouts, each at least half a prior standard deviation from the ones before."""
-        free = len(self.belief.models[model].names)
-        order = torch.argsort(cost)
-        order = order[torch.isfinite(cost[order])]
-        if order.numel() < 2:
-            raise ConvergenceError(
-                f"{self.belief.keys[model]}: {order.numel()} of {len(cost)} prior draws could be simulated; "
-                "check units and bounds of the prior and the designs."
-            )
-        picked: list[int] = []
-        for row in order.tolist():
-            gaps = [(draws[row, :free] - draws[other, :free]).norm() for other in picked]
-            if all(gap > 0.5 for gap in gaps):
-                picked.append(row)
-            if len(picked) == self.options.starts:
-                break
-        picked += [row for row in order.tolist() if row not in picked]
-        return torch.tensor((picked * self.options.starts)[: self.options.starts])
-
-    def _parameters(self, model: Tensor, gel: Tensor) -> Tensor:
-        """Shared parameter vectors of chains: ``C x ... x size`` controls of models ``C``."""
-        rows: list[Tensor] = [torch.empty(0)] * len(model)
-        for i, part in enumerate(self.belief.models):
-            for chain in torch.nonzero(model == i)[:, 0].tolist():
-                controls = part.mean + gel[chain][..., : len(part.names)] @ part.chol.mT
-                rows[chain] = part.parameters(controls)
-        return torch.stack(rows)
-
-    def _predict(self, model: Tensor, gel: Tensor, nuisances: Tensor, *, bundled: bool = False) -> Tensor:
-        """Predictions ``C x ... x E x T`` at controls ``C x ... x size`` and ``C x ... x E x 3``; the last ``...`` a bundle."""
-        shifts = nuisances * self.sds if len(self.sides) else None
-        prediction = predict(self.simulator, self._parameters(model, gel), self.batch, shifts, bundled=bundled)
-        return torch.where(self.batch.mask, prediction, 0.0)
-
-    def _cost_alone(self, model: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
-        """The cost where every point is simulated for itself."""
-        return joint_cost(self.batch, gel, nuisances, self._predict(model, gel, nuisances))
-
     def _predict_led(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
         """Predictions ``C x N x E x T`` of ``N`` points of each chain, behind its leader or, where it has none, each alone."""
         led = self.led[chains, None]
         if not bool(led.any()):
-            return self._predict(self.model[chains], gel, nuisances)
+            return self.problem.predict(self.model[chains], gel, nuisances)
         gel_leader = torch.where(led[..., None], self.leader_gel[chains, None], gel)
         nuisance_leader = torch.where(led[..., None, None], self.leader_nuisances[chains, None], nuisances)
         pairs = torch.stack((gel_leader, gel), 2), torch.stack((nuisance_leader, nuisances), 2)
-        return self._predict(self.model[chains], *pairs, bundled=True)[:, :, 1]
+        return self.problem.predict(self.model[chains], *pairs, bundled=True)[:, :, 1]
 
     def iterate(self) -> None:
         """One Gauss-Newton iteration of the chains that are not finished."""
@@ -317,7 +171,7 @@ class Search:
         shifted = (leader, own, own.expand(-1, -1, anomalies.shape[2], -1, -1), own + self.sides)
         alone = not bool(led.any())  # then each centre leads itself
         bundle = (torch.cat(parts[alone:], 2) for parts in (controls, shifted))
-        prediction = self._predict(self.model[chains], *bundle, bundled=True)[:, :, not alone :]
+        prediction = self.problem.predict(self.model[chains], *bundle, bundled=True)[:, :, not alone :]
         self.members += prediction[..., 0].numel()
         self.failures += int((~torch.isfinite(prediction)).any(-1).sum())
         return prediction
@@ -378,15 +232,15 @@ class Search:
     def send(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> None:
         """Set chains out anew: ``C x size`` controls of the gel, ``E x 3`` or ``C x E x 3`` nuisances."""
         self.gel[chains], self.nuisances[chains] = gel, nuisances.clone()
-        self.cost[chains] = self._cost_alone(self.model[chains], self.gel[chains], self.nuisances[chains])
+        self.cost[chains] = self.problem.cost(self.model[chains], self.gel[chains], self.nuisances[chains])
         self.finished[chains] = ~torch.isfinite(self.cost[chains])
         self.led[chains], self.bluntly[chains], self.damping[chains] = False, False, 1e-2
         self._forget(chains)
 
     def deeper(self, chains: Tensor) -> Tensor:
         """Nuisances ``C x E x 3`` in the deepest valley of each experiment at the gels of chains; their own where none is."""
-        parameters = self._parameters(self.model[chains], self.gel[chains])
-        return deeper_nuisances(parameters, self.nuisances[chains], self.batch, self.simulator)
+        parameters = self.problem.parameters(self.model[chains], self.gel[chains])
+        return deeper_nuisances(parameters, self.nuisances[chains], self.batch, self.problem.simulator)
 
     def report(self) -> str:
         """Costs and gradients of the best start of each model."""
@@ -416,8 +270,9 @@ class Search:
         agreement = float(costs[1] - costs[0]) if bool(torch.isfinite(costs[0])) else math.inf
         equations, free = self.equations[best], len(part.names)
         if equations is None:  # no start could be simulated
-            response, nuisance_hessian = self.sds.new_zeros(*self.sds.shape, free), torch.eye(3, dtype=torch.float64)
-            nuisance_hessian = nuisance_hessian.expand(len(self.sds), 3, 3)
+            sds = self.batch.nuisance_sds
+            response = sds.new_zeros(*sds.shape, free)
+            nuisance_hessian = torch.eye(3, dtype=torch.float64).expand(len(sds), 3, 3)
         else:
             response, nuisance_hessian = equations.reduced.nuisance_response[..., :free], equations.nuisance_hessian
         gradient = float(self.gradient[best])

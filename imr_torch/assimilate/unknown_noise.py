@@ -11,7 +11,7 @@ import torch
 
 from imr_torch.assimilate.en4dvar import assimilate
 from imr_torch.assimilate.fit import Assimilation, ModelFit
-from imr_torch.assimilate.search import EnsembleOptions
+from imr_torch.assimilate.options import EnsembleOptions
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Noise, fit_noise
 from imr_torch.random import child
