@@ -2,20 +2,23 @@
 
 A frame next to a collapse gives the cost a valley for either side of it: in time zero, with Rmax and R_inf to match. Starts of
 a search differ in the gel and not in these, so all of them may agree on the wrong valley. At a fixed gel experiments are
-independent, and each can be searched through for little: time zero is set out on both sides of where it ended, a few
-Gauss-Newton steps of all nuisances follow from each place, and the lowest end counts.
+independent, and each can be searched through for little: one bubble, read at other times, shows the whole profile of the cost
+over time zero, and one each the change with Rmax and R_inf. From the lowest minima of that profile a few Gauss-Newton steps of
+all nuisances follow, and the lowest end counts.
 """
 
 import torch
 from torch import Tensor
 
 from imr_torch.assimilate.conditional import conditional_nuisances, possible_nuisances
-from imr_torch.observe import ExperimentBatch, predict
-from imr_torch.simulate import Simulator
+from imr_torch.assimilate.cost import SIDE, equations_at, uncertain
+from imr_torch.observe import NUISANCES, ExperimentBatch, predict
+from imr_torch.simulate import EARLIEST, Simulator
 
-_TIME_ZERO = 1  # column of the nuisances
-_REACH, _PLACES = 3.0, 16  # prior standard deviations on either side, and places in all: .4 apart
-_STEPS = 3
+_TIME_ZERO = NUISANCES.index("time_zero")
+_REACH, _PLACES = 3.0, 61  # prior standard deviations on either side, and places in all: .1 apart
+_VALLEYS, _STEPS = 4, 4
+_DISTINCT = 1e-13  # between times that may coincide, as places are apart by what frames may be apart by
 _DEEPER = 0.5  # nats by which a valley must be deeper; each solve's own steps make some .3 of it where single curves are sharp
 
 
@@ -26,7 +29,7 @@ def deeper_nuisances(parameters: Tensor, nuisances: Tensor, batch: ExperimentBat
         parameters: ``M x p`` tensor, gels, SI.
         nuisances: ``M x E x 3`` standardised nuisances of each, in a valley.
         batch: the data.
-        simulator: makes the bubbles, some 200 for each gel and experiment whose time zero is uncertain.
+        simulator: makes the bubbles, some 70 for each gel and experiment.
 
     Returns:
         Nuisances of the same shape; those of experiments without a deeper valley are the same numbers.
@@ -34,17 +37,70 @@ def deeper_nuisances(parameters: Tensor, nuisances: Tensor, batch: ExperimentBat
     movable = batch.nuisance_sds[:, _TIME_ZERO] > 0.0
     if not bool(movable.any()):
         return nuisances
-    shifts = torch.linspace(-_REACH, _REACH, _PLACES, dtype=torch.float64)
-    places = nuisances[:, None].repeat(1, _PLACES, 1, 1)
-    places[..., _TIME_ZERO] += shifts[:, None] * movable
-    gels, flat = parameters.repeat_interleave(_PLACES, 0), places.flatten(0, 1)
+    places = _lowest_places(parameters, nuisances, batch, simulator)
+    gels, flat = parameters.repeat_interleave(_VALLEYS, 0), places.flatten(0, 1)
     unit = torch.eye(3, dtype=torch.float64).expand(*flat.shape[:2], 3, 3)
     for _ in range(_STEPS):
         flat = conditional_nuisances(gels, flat, unit, batch, simulator)[0]
     before = _cost(parameters, nuisances, batch, simulator)  # M x E
     cost, place = _cost(gels, flat, batch, simulator).unflatten(0, places.shape[:2]).min(1)
     found = flat.unflatten(0, places.shape[:2]).gather(1, place[:, None, :, None].expand(-1, 1, -1, 3))[:, 0]
-    return torch.where((cost < before - _DEEPER)[..., None], found, nuisances)
+    return torch.where((movable & (cost < before - _DEEPER))[..., None], found, nuisances)
+
+
+def _lowest_places(parameters: Tensor, nuisances: Tensor, batch: ExperimentBatch, simulator: Simulator) -> Tensor:
+    """Nuisances ``M x _VALLEYS x E x 3`` at the lowest minima of each experiment's profile over time zero.
+
+    At each place Rmax and R_inf take one Gauss-Newton step, and the profile is what the cost is then expected to be.
+    """
+    sds = batch.nuisance_sds
+    reach = torch.linspace(-_REACH, _REACH, _PLACES, dtype=torch.float64)[:, None] * sds[:, _TIME_ZERO]  # P x E
+    shifts = nuisances * sds
+    first = EARLIEST * (1.0 + shifts[..., 0]) - batch.times[:, 0] - shifts[..., _TIME_ZERO]
+    reach = reach.maximum(first.amax(0).clamp_max(0.0))
+    prediction = _predict_moved(parameters, nuisances, reach, batch, simulator)
+    known = torch.isfinite(prediction).all(-1).all(2)  # M x P x E
+    prediction = torch.where(known[:, :, None, :, None], prediction, 0.5)
+    moved = nuisances[:, None].repeat(1, _PLACES, 1, 1)
+    moved[..., _TIME_ZERO] += reach / sds[:, _TIME_ZERO].clamp_min(1e-300)
+    still = moved.clone()
+    still[..., _TIME_ZERO] = 0.0  # where its prior does not pull: it is to stay
+    none = moved.new_zeros(*moved.shape[:2], 0)
+    equations = equations_at(batch, none, still, none[..., None], prediction)
+    gradient, root = equations.nuisance_gradient, torch.linalg.cholesky(equations.nuisance_hessian)
+    step = -torch.cholesky_solve(gradient[..., None], root)[..., 0]
+    cost = 0.5 * moved.square().sum(-1) - batch.log_likelihood(prediction[:, :, 0]) + 0.5 * (gradient * step).sum(-1)
+    cost = torch.where(known, cost, torch.inf)
+    beyond = torch.full_like(cost[:, :1], torch.inf)
+    lowest = (cost <= torch.cat((beyond, cost[:, :-1]), 1)) & (cost <= torch.cat((cost[:, 1:], beyond), 1))
+    chosen = torch.where(lowest, cost, torch.inf).topk(_VALLEYS, dim=1, largest=False).indices
+    return (moved + step).gather(1, chosen[..., None].expand(-1, -1, -1, 3))
+
+
+def _predict_moved(
+    parameters: Tensor, nuisances: Tensor, reach: Tensor, batch: ExperimentBatch, simulator: Simulator
+) -> Tensor:
+    """Predictions ``M x P x (1 + S) x E x T`` with time zero moved by ``reach`` (``P x E``): there, and with nuisances moved.
+
+    The uncertain nuisances are those of :func:`imr_torch.assimilate.cost.sides`, but that time zero is not moved again.
+    """
+    columns = [column for column in uncertain(batch).tolist() if column != _TIME_ZERO]
+    sides = SIDE * torch.eye(3, dtype=torch.float64)[columns]
+    points = torch.cat((nuisances[:, None], nuisances[:, None] + sides[:, None]), 1)
+    times, order = (batch.times[:, None] + reach.mT[..., None]).flatten(1).sort(1)
+    times = times + _DISTINCT * torch.arange(times.shape[1])
+    seen = predict(
+        simulator,
+        parameters[:, None].expand(-1, points.shape[1], -1),
+        batch,
+        points * batch.nuisance_sds,
+        times=times,
+        bundled=True,
+    )
+    seen = seen.gather(-1, order.argsort(1).expand(seen.shape)).unflatten(-1, (_PLACES, -1))  # M x (1 + S') x E x P x T
+    seen = torch.where(batch.mask[:, None], seen, 0.0).movedim(-2, 1)
+    rows = [0] + [1 + columns.index(column) if column in columns else 0 for column in uncertain(batch).tolist()]
+    return seen[:, :, rows]
 
 
 def _cost(parameters: Tensor, nuisances: Tensor, batch: ExperimentBatch, simulator: Simulator) -> Tensor:

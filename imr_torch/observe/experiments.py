@@ -177,7 +177,13 @@ def _along_frames(matrices: Tensor, values: Tensor) -> Tensor:
 
 
 def predict(
-    simulator: Simulator, parameters: Tensor, batch: ExperimentBatch, shifts: Tensor | None = None, *, bundled: bool = False
+    simulator: Simulator,
+    parameters: Tensor,
+    batch: ExperimentBatch,
+    shifts: Tensor | None = None,
+    *,
+    times: Tensor | None = None,
+    bundled: bool = False,
 ) -> Tensor:
     """What the camera would see of each gel in each experiment.
 
@@ -186,13 +192,14 @@ def predict(
         parameters: ``batch_shape x p`` tensor, SI.
         batch: the experiments, for their designs and times.
         shifts: ``batch_shape x E x 3`` tensor of nuisances in physical size; none when not given.
+        times: ``E x T`` tensor, measured, dimensionless, increasing; those of the frames when not given.
         bundled: whether the last batch dimension holds the members of a bundle
             (:meth:`imr_torch.simulate.Simulator.bundle`), the leader first.
 
     Returns:
         ``batch_shape x E x T`` tensor, R/Rmax with the measured Rmax; NaN rows where a solve failed, or shifts leave no bubble.
     """
-    designs, times, factor = batch.designs, batch.times, None
+    designs, times, factor = batch.designs, batch.times if times is None else times, None
     distortion = Distortion.of(parameters)
     if distortion is not None:
         shifts = distortion.shifts if shifts is None else shifts + distortion.shifts

@@ -1,6 +1,6 @@
 """Valleys of the nuisances: the deepest is found at a fixed gel, and a search ends there whichever it began in."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import pytest
 import torch
@@ -10,22 +10,36 @@ from imr_torch.assimilate import EnsembleOptions, assimilate, race
 from imr_torch.assimilate.valleys import deeper_nuisances
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance, predict
-from imr_torch.simulate import Conditions, Solution
-from tests.linear import MEANS, NOISE, LinearSimulator, experiments, prior
+from imr_torch.simulate import EARLIEST, Conditions, Solution, Status, broadcast_batch
+from tests.linear import MEANS, NOISE, SDS, experiments, prior
 
 PERIOD = 0.3  # 1.5 prior standard deviations of time zero
 
 
 @dataclass(frozen=True)
 class WavySimulator:
-    """The linear simulator with a damped wave on it, so that time zero has a valley in each period."""
+    """Radii linear in the gel and in R_inf*, with a damped wave in time on them, so that time zero has a valley in each period.
 
+    Args:
+        fails: whether everything fails.
+    """
+
+    fails: bool = False
     conditions: Conditions = field(default_factory=Conditions)
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        linear = LinearSimulator()(parameters, designs, times)
-        wave = 0.3 * torch.exp(-linear.times) * torch.cos(2.0 * torch.pi * linear.times / PERIOD)
-        return replace(linear, radius=linear.radius + wave)
+        shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
+        gel = torch.zeros_like(times)
+        for j, name in enumerate(("G", "mu")):
+            size = parameters[:, PARAMETERS.index([name])] / SDS[name]
+            gel = gel + 0.1 * size * torch.cos((6.0 + 3.0 * j) * times + 0.003 * designs[:, :1] + j)
+        wave = 0.3 * torch.exp(-times) * torch.cos(2.0 * torch.pi * times / PERIOD)
+        radius = (0.6 + 0.3 * times + 0.5 * designs[:, 1:] + gel + wave).reshape(*shape, -1)
+        status = torch.full(shape, int(Status.NON_FINITE if self.fails else Status.DONE))
+        none = torch.zeros_like(radius)
+        return Solution(
+            times.reshape(radius.shape), radius.where(status[..., None] == Status.DONE, torch.nan), none, none, status, status
+        )
 
     def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         return self(parameters, designs, times)
@@ -49,10 +63,10 @@ def shot(nuisance: Nuisance) -> ExperimentBatch:
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 
-def off(periods: list[float]) -> Tensor:
+def off(periods: list[float], sd: float = 0.2) -> Tensor:
     """The true nuisances with clocks off by periods."""
     wrong = TRUTH.clone()
-    wrong[:, 1] += torch.tensor(periods, dtype=torch.float64) * PERIOD / 0.2
+    wrong[:, 1] += torch.tensor(periods, dtype=torch.float64) * PERIOD / sd
     return wrong
 
 
@@ -66,6 +80,30 @@ def test_that_the_deepest_valley_of_each_experiment_is_found_and_a_right_one_kep
     assert torch.equal(deeper_nuisances(parameters, found, batch, WavySimulator()), found)
 
 
+def test_that_valleys_are_found_where_a_scan_reaches_back_to_before_there_is_a_bubble() -> None:
+    batch, gel = shot(Nuisance(time_zero=0.4, rest_radius=0.3)), prior(("nhkv",)).models[0]
+    places = off([1.0, 0.0, -1.0], 0.4)[None]
+    assert float(batch.times[:, 0].min() + 0.4 * (places[..., 1].min() - 3.0)) < EARLIEST
+    found = deeper_nuisances(gel.parameters(gel.mean)[None], places, batch, WavySimulator())
+    torch.testing.assert_close(found[0, :, 1], TRUTH[:, 1], rtol=0.0, atol=0.15)
+
+
+def test_that_a_search_through_one_experiment_takes_some_seventy_bubbles() -> None:
+    batch, gel, counted = shot(BOTH), prior(("nhkv",)).models[0], []
+    simulator = WavySimulator()
+
+    def count(parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        solution = simulator(parameters, designs, times)
+        counted.append(solution.status.numel())
+        return solution
+
+    class Counting(WavySimulator):
+        __call__ = bundle = staticmethod(count)
+
+    deeper_nuisances(gel.parameters(gel.mean)[None], off([1.0, 0.0, -1.0])[None], batch, Counting())
+    assert sum(counted) <= 75 * 3
+
+
 def test_that_nothing_is_simulated_where_clocks_are_sure() -> None:
     batch = shot(Nuisance(rest_radius=0.3))
     places = torch.zeros(1, 3, 3, dtype=torch.float64)
@@ -76,7 +114,7 @@ def test_that_what_cannot_be_simulated_is_no_valley() -> None:
     batch, gel = shot(BOTH), prior(("nhkv",)).models[0]
     places = off([1.0, 0.0, 0.0])[None]
     parameters = gel.parameters(gel.mean)[None]
-    assert torch.equal(deeper_nuisances(parameters, places, batch, LinearSimulator(fails=True)), places)
+    assert torch.equal(deeper_nuisances(parameters, places, batch, WavySimulator(fails=True)), places)
 
 
 def test_that_a_search_ends_in_the_deepest_valley_wherever_it_began(monkeypatch: pytest.MonkeyPatch) -> None:

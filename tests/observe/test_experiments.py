@@ -192,6 +192,17 @@ def test_that_zero_shifts_are_no_shifts() -> None:
     torch.testing.assert_close(with_none, with_zero, rtol=1e-14, atol=0.0)
 
 
+def test_that_other_times_are_displaced_like_the_frames() -> None:
+    batch = ExperimentBatch(shots())
+    parameters = prior(("nhkv",)).models[0].parameters(tensor(0.2, -0.3))
+    shifts = tensor([0.02, 0.01, -0.05], [-0.01, 0.03, 0.0], [0.0, -0.02, 0.1])
+    between = 0.5 * (batch.times[:, 1:] + batch.times[:, :-1])
+    every = torch.cat((batch.times, between), 1).sort(1)
+    found = predict(PolytropicSimulator(), parameters, batch, shifts, times=every.values)
+    frames = found.gather(1, every.indices.argsort(1))[:, : batch.times.shape[1]]
+    torch.testing.assert_close(frames, predict(PolytropicSimulator(), parameters, batch, shifts), rtol=0.0, atol=1e-10)
+
+
 # ---------------------------------------------------------------- experiments
 
 
