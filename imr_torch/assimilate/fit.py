@@ -54,9 +54,15 @@ PROMISED = 2.0
 """Times the square of its gradient (in posterior standard deviations) that the cost of a start may still fall, nats: four times
 what a Gauss-Newton step promises."""
 
+ALL_BUT = 0.1
+"""Posterior standard deviations from a minimum, and nats between starts, at which it is all but found: a hundredth of a nat is
+left to gain."""
+
+ONE_MINIMUM = 0.5
+"""Nats within which fits are of one minimum: each solve's own steps make some .3 of it where single curves are sharp."""
+
 _SAME = 0.05  # nats between Gaussians: a mean a third of an sd off, or an sd 20 % off
 _CLOUD = 64  # draws by which a belief that bends is handed on
-_ALL_BUT = 0.1  # posterior standard deviations, and nats between starts: what is left to gain is a hundredth of a nat
 _OUT = 20.0  # nats by which a model whose minimum is all but found is out of the running
 _FAR_OUT = 100.0  # the same where it is not, beyond what it may still fall
 _AGAIN = 0.1  # the same between two rounds, each with its error
@@ -93,7 +99,7 @@ class ModelFit:
     def out_of_the_running(self, best: float) -> bool:
         """Whether the model cannot come near ``best``, the cost of another, nats, however much further it were fitted."""
         gradient = self.certificate.gradient
-        found = gradient < _ALL_BUT and self.certificate.agreement < _ALL_BUT
+        found = gradient < ALL_BUT and self.certificate.agreement < ALL_BUT
         return self.cost > best + _OUT if found else self.cost - PROMISED * gradient**2 > best + _FAR_OUT
 
     @property

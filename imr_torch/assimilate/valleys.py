@@ -12,6 +12,7 @@ from torch import Tensor
 
 from imr_torch.assimilate.conditional import conditional_nuisances, possible_nuisances
 from imr_torch.assimilate.cost import SIDE, equations_at, uncertain
+from imr_torch.assimilate.fit import ONE_MINIMUM
 from imr_torch.observe import NUISANCES, ExperimentBatch, predict
 from imr_torch.simulate import EARLIEST, Simulator
 
@@ -19,7 +20,6 @@ _TIME_ZERO = NUISANCES.index("time_zero")
 _REACH, _PLACES = 3.0, 61  # prior standard deviations on either side, and places in all: .1 apart
 _VALLEYS, _STEPS = 4, 4
 _DISTINCT = 1e-13  # between times that may coincide, as places are apart by what frames may be apart by
-_DEEPER = 0.5  # nats by which a valley must be deeper; each solve's own steps make some .3 of it where single curves are sharp
 
 
 def deeper_nuisances(parameters: Tensor, nuisances: Tensor, batch: ExperimentBatch, simulator: Simulator) -> Tensor:
@@ -45,7 +45,7 @@ def deeper_nuisances(parameters: Tensor, nuisances: Tensor, batch: ExperimentBat
     before = _cost(parameters, nuisances, batch, simulator)  # M x E
     cost, place = _cost(gels, flat, batch, simulator).unflatten(0, places.shape[:2]).min(1)
     found = flat.unflatten(0, places.shape[:2]).gather(1, place[:, None, :, None].expand(-1, 1, -1, 3))[:, 0]
-    return torch.where((movable & (cost < before - _DEEPER))[..., None], found, nuisances)
+    return torch.where((movable & (cost < before - ONE_MINIMUM))[..., None], found, nuisances)
 
 
 def _lowest_places(parameters: Tensor, nuisances: Tensor, batch: ExperimentBatch, simulator: Simulator) -> Tensor:

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate
+from imr_torch.assimilate.fit import ALL_BUT, ONE_MINIMUM
 from imr_torch.gap.effects import Effect
 from imr_torch.material import PARAMETERS, Belief, Marginal, ModelBelief
 from imr_torch.observe import ExperimentBatch
@@ -25,8 +26,6 @@ SPREAD = 1e-5
 _ROUGH = EnsembleOptions(gradient=1e-2, starts=2)
 _MANY = 6  # starts where fewer disagree
 _APART = 0.3  # prior standard deviations between the starts of the null fit
-_ALL_BUT = 0.1  # posterior standard deviations from a minimum at which a start that was cut short has found it
-_SAME = 0.5  # nats between fits of one minimum; each solve's own steps make some .3 of it where single curves are sharp
 _FAR = 4.0  # prior standard deviations of a nuisance that are not believed at once
 
 
@@ -199,7 +198,7 @@ def finish(
     near = as_assimilation(fit, batch)
     found = assimilate(near.prior, batch, simulator, seed=seed, options=options, near=near, warn=False, progress=progress)
     ended = found.fits[0]
-    if fit.certificate.gradient < _ALL_BUT and abs(fit.cost - ended.cost) < _SAME:
+    if fit.certificate.gradient < ALL_BUT and abs(fit.cost - ended.cost) < ONE_MINIMUM:
         return _certified(ended, fit.certificate.agreement, options)
     return ended
 
