@@ -6,7 +6,8 @@ is large and slow, and a multiple of the published law (light, shape, clock), wh
 them in the published proportion, and noise that is too small anywhere makes a false gap. Roughness shows only the part of the
 noise that changes from frame to frame; repeats of public records differ by deviations that last 0.14 to 0.4 in t*. So the
 noise is taken as correlated, with the amounts at which it would look as rough as the traces do, and with no less than repeats
-of public records differ by, which no roughness shows where a camera's records are smooth.
+of public records differ by, which no roughness shows where a camera's records are smooth. Where frames are too few to tell, it
+is no less than the published law.
 """
 
 from collections.abc import Sequence
@@ -24,6 +25,9 @@ LEAST = 0.25
 """Smallest multiple of the published law: repeats of public records differ by 0.2 to 0.9 of it late, and by more early."""
 LEAST_CONSTANT = 0.002
 """Smallest constant part, in R*: repeats differ by 1 to 10 times the published noise early, where this is what it is."""
+
+FEW = 40
+"""Frames with neighbours on both sides, of all traces, below which two amounts read off them may be several times too small."""
 
 _REACH = 2  # neighbours on either side
 _CONSISTENT = 1.482602  # standard deviation over median absolute deviation of a Gaussian
@@ -51,7 +55,8 @@ def noise_of_traces(experiments: Sequence[Experiment], *, correlation_time: floa
         raise InputDataError("No trace has five frames, so their noise cannot be estimated; give the noise.")
     rough, constant, law = (torch.cat(parts) for parts in zip(*rows, strict=True))
     steps = torch.logspace(0.0, 1.0, _TRIED, base=_MOST, dtype=torch.float64)
-    scales, constants = LEAST * steps, LEAST_CONSTANT * steps
+    least = LEAST if len(rough) >= FEW else 1.0
+    scales, constants = least * steps, LEAST_CONSTANT * steps
     misfit = torch.zeros(_TRIED, _TRIED, dtype=torch.float64)
     for group in torch.argsort(law / constant).chunk(_GROUPS):
         for i, scale in enumerate(scales.tolist()):

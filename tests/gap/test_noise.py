@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from imr_torch.errors import InputDataError
-from imr_torch.gap import LIBRARY
+from imr_torch.gap import LIBRARY, library
 from imr_torch.gap.attribute import adequacy_test
 from imr_torch.gap.noise import LEAST, LEAST_CONSTANT, noise_of_traces
 from imr_torch.gap.score import LEVEL
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
 from imr_torch.random import generator
 from tests.gap.synthetic import DESIGNS, GEL, SIMULATOR, fit
 
@@ -60,6 +60,37 @@ def test_that_pixel_noise_at_several_frame_rates_makes_no_gap_and_a_wall_does(se
 
     assert p_value({}) > LEVEL
     assert p_value({"wall": 0.2}) < 1e-3
+
+
+def short(seed: int, **effect: float) -> list[Experiment]:
+    """Two curves of six and seven frames, with the published noise, as of bubbles that were filmed to their first collapse."""
+    source, experiments = generator(seed), []
+    sds = torch.tensor([0.007, 0.012, 0.1], dtype=torch.float64)
+    for frames, design in ((6, (140.0, 0.2)), (7, (150.0, 0.2))):
+        times = 0.045 + 0.15 * torch.arange(frames, dtype=torch.float64)
+        times = times + 0.02 * torch.rand(frames, generator=source, dtype=torch.float64)
+        blank = torch.ones(1, frames, dtype=torch.float64)
+        plan = Experiment(f"{frames}", design, times, blank, Nuisance(*sds.tolist()))
+        shifts = sds * torch.randn(1, 1, 3, generator=source, dtype=torch.float64)
+        truth = predict(SIMULATOR, PARAMETERS.pack(GEL | effect)[None], ExperimentBatch((plan,)), shifts)[0, 0]
+        radius = Noise(correlation_time=0.14).draw(truth, times, 1, generator=source)
+        experiments.append(replace(plan, radius=radius))
+    return experiments
+
+
+def test_that_a_handful_of_frames_is_not_taken_for_quiet_and_a_gap_is_seen_all_the_same(monkeypatch):
+    """Two amounts read off five frames may be a quarter of the truth."""
+
+    def p_value(curves: list[Experiment]) -> float:
+        batch = ExperimentBatch(tuple(curves), noise_of_traces(curves))
+        return adequacy_test(fit(batch), library(), batch, SIMULATOR, seed=0).test.p_value
+
+    quiet = short(6)  # by chance, as in a quarter of such pairs
+    assert noise_of_traces(quiet).scale == 1.0
+    assert p_value(quiet) > LEVEL
+    assert p_value(short(6, wall=0.4)) < LEVEL
+    monkeypatch.setattr("imr_torch.gap.noise.FEW", 0)
+    assert p_value(quiet) < 1e-3
 
 
 def test_that_a_few_wild_frames_do_not_count():
