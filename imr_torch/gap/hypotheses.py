@@ -26,7 +26,6 @@ SPREAD = 1e-5
 _ROUGH = EnsembleOptions(gradient=1e-2, starts=2)
 _MANY = 6  # starts where fewer disagree
 _APART = 0.3  # prior standard deviations between the starts of the null fit
-_FAR = 4.0  # prior standard deviations of a nuisance that are not believed at once
 
 
 @dataclass(frozen=True)
@@ -94,8 +93,8 @@ def fit_null(
     """The base model with nuisances, from several starts, with its certificate, which is for the caller to read.
 
     Where there are repeats the search begins with polytropic bubbles, which are far cheaper; the simulator's own fits start
-    from their best and from perturbed copies of it. Single curves leave Rmax and time zero so uncertain that a fit may slip
-    into a collapse between the wrong frames, with a clean certificate: there, and where a nuisance ends far out, scouts search.
+    from their best and from perturbed copies of it. Where these do not converge, scouts search; and so they do for single
+    curves, which leave Rmax and time zero so uncertain that a fit may slip into a collapse between the wrong frames.
     A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals, is taken up again; where
     starts arrived and disagree, more of them are sent out.
     """
@@ -139,7 +138,7 @@ def _search_null(
     starts = torch.cat((rough.mean[None], rough.mean + spread))
     options = EnsembleOptions(spread=SPREAD, blunt=True)  # the polytropic collapse may be on another side of a frame
     fit = search(starts=[starts], options=options).fits[0]
-    if float(fit.nuisances.abs().max()) < _FAR:
+    if fit.certificate.converged:
         return fit
     return min(fit, search(options=scouted).fits[0], key=lambda found: found.cost)
 

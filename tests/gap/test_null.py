@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import pytest
-import torch
 
 from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit
 from imr_torch.gap import hypotheses
@@ -24,21 +23,21 @@ def known() -> ModelFit:
 
 
 @pytest.mark.parametrize(
-    ("repeats", "nuisance", "searches", "cost"),
+    ("repeats", "converged", "searches", "cost"),
     [
-        (1, 0.0, ["scouts"], -5.0),
-        (2, 0.0, ["scouts, polytropic", "starts"], -3.0),
-        (2, 6.0, ["scouts, polytropic", "starts", "scouts"], -5.0),  # not believed, and scouts find a lower minimum
+        (1, True, ["scouts"], -5.0),
+        (2, True, ["scouts, polytropic", "starts"], -3.0),
+        (2, False, ["scouts, polytropic", "starts", "scouts"], -5.0),  # and scouts find a lower minimum
     ],
 )
-def test_that_scouts_search_where_a_false_minimum_is_likely(known, monkeypatch, repeats, nuisance, searches, cost) -> None:
+def test_that_scouts_search_where_a_false_minimum_is_likely(known, monkeypatch, repeats, converged, searches, cost) -> None:
     made = []
 
     def search(belief, batch, simulator, *, starts=None, **_) -> Assimilation:
         cheap = ", polytropic" if isinstance(simulator, PolytropicSimulator) else ""
         made.append("scouts" + cheap if starts is None else "starts")
-        far = torch.full_like(known.nuisances, nuisance)
-        found = replace(known, cost=-5.0) if starts is None else replace(known, cost=-3.0, nuisances=far)
+        certificate = replace(known.certificate, converged=converged)
+        found = replace(known, cost=-5.0) if starts is None else replace(known, cost=-3.0, certificate=certificate)
         return Assimilation(belief, batch, (found,))
 
     monkeypatch.setattr(hypotheses, "assimilate", search)
