@@ -192,9 +192,10 @@ def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed
     if explained < _FURTHER:
         reason = f"No effect of the library explains any of it (adequacy p = {test.p_value:.2g})."
     else:
+        misfit = f"the misfit in R* goes from {left.test.bias_radius:.4f} to {test.bias_radius:.4f}"
         reason = (
             f"No effect of the library is enough; nearest comes {nearest} "
-            f"({explained:.0f} nats, adequacy p = {test.p_value:.2g})."
+            f"({explained:.0f} nats; {misfit}; adequacy p = {test.p_value:.2g})."
         )
     return _Finding("other", (), reason, first, test.p_value)
 

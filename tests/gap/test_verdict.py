@@ -17,7 +17,9 @@ module = sys.modules["imr_torch.gap.diagnose"]  # its name in the package is tha
 def attribution(posterior: dict[str, float], winner: str, *, p_adequate: float = 0.5, converged: bool = True) -> Attribution:
     fit = SimpleNamespace(certificate=SimpleNamespace(converged=converged))
     evidence = dict.fromkeys(["none", winner], 0.0)
-    return Attribution({winner: fit}, evidence, posterior, {}, winner, SimpleNamespace(p_value=p_adequate), {})
+    return Attribution(
+        {winner: fit}, evidence, posterior, {}, winner, SimpleNamespace(p_value=p_adequate, bias_radius=0.01), {}
+    )
 
 
 def named(posterior: dict[str, float], winner: str, **about: float):
@@ -26,7 +28,7 @@ def named(posterior: dict[str, float], winner: str, **about: float):
 
 
 def selected(p_gap: float):
-    left = SimpleNamespace(test=SimpleNamespace(p_value=p_gap), starts={})
+    left = SimpleNamespace(test=SimpleNamespace(p_value=p_gap, bias_radius=0.02), starts={})
     return module._select(Inquiry(BASE, EFFECTS, None, None), None, left, 2, seed=0, progress=None)
 
 
@@ -79,7 +81,7 @@ def test_that_a_second_effect_that_is_enough_alone_is_named_alone(monkeypatch, p
     assert (finding.verdict, finding.cause) == ("effect", cause)
 
 
-@pytest.mark.parametrize(("nats", "said"), [(40.0, "nearest comes gas_loss (40 nats"), (0.3, "explains any of it")])
+@pytest.mark.parametrize(("nats", "said"), [(40.0, "nearest comes gas_loss (40 nats;"), (0.3, "explains any of it")])
 def test_that_other_says_what_came_nearest_only_if_that_explains_something(monkeypatch, nats: float, said: str) -> None:
     found = attribution({"gas_loss": 0.96, "none": 0.0, "other": 0.04}, "gas_loss", p_adequate=1e-6)
     monkeypatch.setattr(module, "attribute", lambda *_, **__: found)

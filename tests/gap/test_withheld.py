@@ -25,9 +25,12 @@ def test_that_it_is_other_where_it_was_withheld(experiments) -> None:
     report = diagnose(experiments, effects=library(RIVALS), simulator=SIMULATOR, seed=1)
     assert (report.verdict, report.cause) == ("other", ())
     said = re.fullmatch(
-        r"No effect of the library is enough; nearest comes (.+) \((\d+) nats, adequacy p = (.+)\)\.", report.reason
+        r"No effect of the library is enough; nearest comes (.+) \((\d+) nats; the misfit in R\* goes from (.+) to (.+); "
+        r"adequacy p = (.+)\)\.",
+        report.reason,
     )
     assert said is not None
     assert set(said[1].split(" and ")) <= set(RIVALS)
     assert float(said[2]) > 3.0
-    assert float(said[3]) < 1e-4
+    assert float(said[4]) < float(said[3]) == round(report.gap.bias_radius, 4)
+    assert float(said[5]) < 1e-4
