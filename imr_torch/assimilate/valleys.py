@@ -19,6 +19,7 @@ from imr_torch.simulate import EARLIEST, Simulator
 _TIME_ZERO = NUISANCES.index("time_zero")
 _REACH, _PLACES = 3.0, 61  # prior standard deviations on either side, and places in all: .1 apart
 _VALLEYS, _STEPS = 4, 4
+_MARGIN = 1e-6  # from the earliest time of a bubble, against rounding
 _DISTINCT = 1e-13  # between times that may coincide, as places are apart by what frames may be apart by
 
 
@@ -53,16 +54,12 @@ def _lowest_places(parameters: Tensor, nuisances: Tensor, batch: ExperimentBatch
 
     At each place Rmax and R_inf take one Gauss-Newton step, and the profile is what the cost is then expected to be.
     """
-    sds = batch.nuisance_sds
-    reach = torch.linspace(-_REACH, _REACH, _PLACES, dtype=torch.float64)[:, None] * sds[:, _TIME_ZERO]  # P x E
-    shifts = nuisances * sds
-    first = EARLIEST * (1.0 + shifts[..., 0]) - batch.times[:, 0] - shifts[..., _TIME_ZERO]
-    reach = reach.maximum(first.amax(0).clamp_max(0.0))
+    reach = _reach(nuisances, batch)
     prediction = _predict_moved(parameters, nuisances, reach, batch, simulator)
     known = torch.isfinite(prediction).all(-1).all(2)  # M x P x E
     prediction = torch.where(known[:, :, None, :, None], prediction, 0.5)
     moved = nuisances[:, None].repeat(1, _PLACES, 1, 1)
-    moved[..., _TIME_ZERO] += reach / sds[:, _TIME_ZERO].clamp_min(1e-300)
+    moved[..., _TIME_ZERO] += reach / batch.nuisance_sds[:, _TIME_ZERO].clamp_min(1e-300)
     still = moved.clone()
     still[..., _TIME_ZERO] = 0.0  # where its prior does not pull: it is to stay
     none = moved.new_zeros(*moved.shape[:2], 0)
@@ -70,11 +67,23 @@ def _lowest_places(parameters: Tensor, nuisances: Tensor, batch: ExperimentBatch
     gradient, root = equations.nuisance_gradient, torch.linalg.cholesky(equations.nuisance_hessian)
     step = -torch.cholesky_solve(gradient[..., None], root)[..., 0]
     cost = 0.5 * moved.square().sum(-1) - batch.log_likelihood(prediction[:, :, 0]) + 0.5 * (gradient * step).sum(-1)
-    cost = torch.where(known, cost, torch.inf)
+    chosen = _minima(torch.where(known, cost, torch.inf))
+    return (moved + step).gather(1, chosen[..., None].expand(-1, -1, -1, 3))
+
+
+def _reach(nuisances: Tensor, batch: ExperimentBatch) -> Tensor:
+    """What time zero is moved by, ``P x E`` tensor, dimensionless; nowhere to before there is a bubble."""
+    shifts = nuisances * batch.nuisance_sds
+    first = EARLIEST * (1.0 + shifts[..., 0]) - batch.times[:, 0] - shifts[..., _TIME_ZERO]
+    reach = torch.linspace(-_REACH, _REACH, _PLACES, dtype=torch.float64)[:, None] * batch.nuisance_sds[:, _TIME_ZERO]
+    return reach.maximum((first + _MARGIN).amax(0).clamp_max(0.0))
+
+
+def _minima(cost: Tensor) -> Tensor:
+    """``M x _VALLEYS x E`` indices of the lowest minima of profiles ``M x P x E``; any others where there are fewer."""
     beyond = torch.full_like(cost[:, :1], torch.inf)
     lowest = (cost <= torch.cat((beyond, cost[:, :-1]), 1)) & (cost <= torch.cat((cost[:, 1:], beyond), 1))
-    chosen = torch.where(lowest, cost, torch.inf).topk(_VALLEYS, dim=1, largest=False).indices
-    return (moved + step).gather(1, chosen[..., None].expand(-1, -1, -1, 3))
+    return torch.where(lowest, cost, torch.inf).topk(_VALLEYS, dim=1, largest=False).indices
 
 
 def _predict_moved(
