@@ -26,8 +26,6 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
-_DESCENTS = 3  # times that models may be sent out again into a deeper valley of their nuisances
-
 
 def assimilate(
     belief: Belief,
@@ -83,7 +81,7 @@ def assimilate(
     search = Search(problem, begun, options, bluntly=bluntly, source=source)
     race = Race(search)
     _run(search, race, progress)
-    for _ in range(_DESCENTS):
+    for _ in range(options.descents):
         if not race.descend():
             break
         _run(search, race, progress)

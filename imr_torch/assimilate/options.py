@@ -22,6 +22,8 @@ class EnsembleOptions:
             any model by more than this, nats; never when not given. When given, models race: the best start of each sets
             out, and a second follows once that is near a minimum and not too far behind; of more than two, all follow from
             farther behind too.
+        descents: times that models may be sent out again into a deeper valley of their nuisances
+            (:mod:`imr_torch.assimilate.valleys`); with 0 nobody looks, as where nuisances begin at a fit whose valleys were.
         blunt: whether chains leave the frames next to collapses out until they are near a minimum
             (:mod:`imr_torch.assimilate.blunt`); when not given, those that set out from scouts do.
     """
@@ -34,6 +36,7 @@ class EnsembleOptions:
     gradient: float = 1e-3
     agreement: float = 0.1
     hopeless: float | None = None
+    descents: int = 3
     blunt: bool | None = None
 
     def __post_init__(self) -> None:
@@ -41,5 +44,7 @@ class EnsembleOptions:
             raise InputDataError(f"EnsembleOptions.members is {self.members}; expected an even number >= 2.")
         if not 2 <= self.starts <= self.scouts:
             raise InputDataError(f"EnsembleOptions needs 2 <= starts <= scouts, got {self.starts} and {self.scouts}.")
+        if self.descents < 0:
+            raise InputDataError(f"EnsembleOptions.descents is {self.descents}; expected 0 or more.")
         if not 0.0 < self.spread <= 2.0 or self.iterations < 1:
             raise InputDataError(f"EnsembleOptions: spread {self.spread} must be in (0, 2], iterations {self.iterations} >= 1.")

@@ -112,15 +112,13 @@ class Race:
     def descend(self) -> bool:
         """Once all rest: send models out again whose nuisances have a deeper valley where they ended; whether any has.
 
-        Two starts set out, from the best and from beside it. Models far behind are not asked, and in a race of models nobody
-        is: those start from nuisances of a fit that was.
+        Two starts set out, from the best and from beside it. Models far behind are not asked.
         """
         search = self._search
-        if search.options.hopeless is not None:
-            return False
         every = (torch.nonzero(search.model == model)[:, 0] for model in range(len(search.belief.models)))
         ranked = [rows[torch.argsort(search.cost[rows])][:2] for rows in every]
-        far = search.cost.min() + _FAR_BEHIND
+        hopeless = search.options.hopeless
+        far = search.cost.min() + (_FAR_BEHIND if hopeless is None else min(hopeless, _FAR_BEHIND))
         ranked = [rows for rows in ranked if bool(torch.isfinite(search.cost[rows[0]]) & (search.cost[rows[0]] < far))]
         if not ranked:
             return False

@@ -317,6 +317,7 @@ def test_that_too_small_an_ensemble_is_refused(models: tuple[str, ...], members:
     [
         ({"members": 7}, r"EnsembleOptions.members is 7; expected an even number"),
         ({"members": 0}, r"EnsembleOptions.members is 0"),
+        ({"descents": -1}, r"EnsembleOptions.descents is -1; expected 0 or more"),
         ({"starts": 1}, r"2 <= starts <= scouts, got 1"),
         ({"starts": 5, "scouts": 4}, r"2 <= starts <= scouts, got 5 and 4"),
         ({"spread": 0.0}, r"spread 0.0 must be in \(0, 2\]"),
