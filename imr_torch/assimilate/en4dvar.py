@@ -76,8 +76,8 @@ def assimilate(
         begun = beside(problem, near, options, source)
     else:
         begun = scouted(problem, options, source)
-    far = starts is None and near is None
-    bluntly = far if options.blunt is None else options.blunt
+    from_scouts = starts is None and near is None
+    bluntly = from_scouts if options.blunt is None else options.blunt
     search = Search(problem, begun, options, bluntly=bluntly, source=source)
     race = Race(search)
     _run(search, race, progress)
