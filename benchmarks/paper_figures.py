@@ -68,7 +68,7 @@ def shoot(design: tuple[float, float], seed: int, *, scale: float = 1.0) -> Expe
     noise = replace(PLAN.noise, scale=scale)
     laboratory = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(CASE.truth), noise=noise, repeats=PLAN.repeats)
     whole = laboratory.shoot(torch.tensor(design, dtype=torch.float64), seed=child(seed, "shoot", 1))
-    return whole.until(collapse_time(whole.times, whole.radius.mean(0), 2))
+    return whole.until(collapse_time(whole.times, whole.mean, 2))
 
 
 def learn(learner: Learner, experiment: Experiment, belief: Belief, seed: int, *, scale: float = 1.0) -> Belief:

@@ -83,7 +83,7 @@ def gp_discrepancy(batch: ExperimentBatch, line: Linearisation) -> float | None:
     if count < 2:
         return None
     residual = batch.mean - line.prediction
-    variance = line.sd.square() / batch.repeats[:, None]
+    variance = line.sd.square() / batch.counts
     place = torch.stack((batch.designs[:, 0].log(), batch.designs[:, 1]), 1)[:, None].expand(-1, batch.times.shape[1], -1)
     inputs = torch.cat((batch.times[..., None], place), -1)
     before = after = 0.0

@@ -25,7 +25,7 @@ class Blunt:
     """
 
     def __init__(self, batch: ExperimentBatch) -> None:
-        kept = [away_from_collapses(e.times, e.radius.mean(0)) for e in batch.experiments]
+        kept = [away_from_collapses(e.times, e.mean) for e in batch.experiments]
         parts = [
             Experiment(e.label, e.design, e.times[k], e.radius[:, k], e.nuisance)
             for e, k in zip(batch.experiments, kept, strict=True)

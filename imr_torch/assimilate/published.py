@@ -73,9 +73,7 @@ class PublishedFit:
 
 def as_one_curve(experiment: Experiment) -> Experiment:
     """The mean of all repeats, as if it were one of them."""
-    return Experiment(
-        experiment.label, experiment.design, experiment.times, experiment.radius.mean(0, keepdim=True), experiment.nuisance
-    )
+    return Experiment(experiment.label, experiment.design, experiment.times, experiment.mean[None], experiment.nuisance)
 
 
 def assimilate_published(

@@ -12,6 +12,7 @@ import torch
 from imr_torch.assimilate.en4dvar import assimilate
 from imr_torch.assimilate.fit import Assimilation, ModelFit
 from imr_torch.assimilate.options import EnsembleOptions
+from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Noise, fit_noise
 from imr_torch.random import child
@@ -49,7 +50,16 @@ def assimilate_estimating_noise(
 
     Returns:
         The last fits; their batch has the noise that they were made with.
+
+    Raises:
+        InputDataError: if the noise is to be estimated and a repeat lacks frames that another has.
     """
+    gaps = [e.label for e in batch.experiments if e.has_gaps]
+    if rounds and gaps:
+        raise InputDataError(
+            f"Experiment {gaps[0]!r}: a repeat lacks frames that another has, so the noise cannot be estimated (it may be "
+            "correlated); leave these frames out of all repeats, or give the noise."
+        )
     law, options = batch.noise, options or EnsembleOptions()
     coarse = replace(options, gradient=max(_GRADIENT, options.gradient), agreement=max(_AGREEMENT, options.agreement))
 
@@ -74,7 +84,7 @@ def noise_of_residuals(result: Assimilation, law: Noise) -> Noise:
     for e, experiment in enumerate(batch.experiments):
         frames = batch.mask[e]
         missed = (batch.mean[e] - best.prediction[e])[frames]
-        residuals.append(missed * experiment.repeats**0.5)  # the mean of n curves errs by that of one over sqrt(n)
+        residuals.append(missed * experiment.counts.sqrt())  # the mean of n curves errs by that of one over sqrt(n)
         predictions.append(best.prediction[e][frames])
         times.append(batch.times[e][frames])
     return fit_noise(law, residuals, predictions, times, fitted=_freedom(best, batch))

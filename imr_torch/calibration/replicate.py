@@ -194,7 +194,7 @@ def _draw(arrangement: Arrangement, seed: int, simulator: Simulator) -> _Truth:
         except ConvergenceError:
             continue
         if plan.collapses is not None:
-            experiment = experiment.until(collapse_time(experiment.times, experiment.radius.mean(0), plan.collapses))
+            experiment = experiment.until(collapse_time(experiment.times, experiment.mean, plan.collapses))
         curve = simulator(gel, design, experiment.times).radius
         return _Truth(part.model, controls, curve[None], experiment, attempt)
     raise ConvergenceError(f"None of {_ATTEMPTS} gels of the prior of {part.model!r} could be simulated at {design.tolist()}.")

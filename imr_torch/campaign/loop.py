@@ -239,7 +239,7 @@ class Campaign:
         collapses = self.settings.plan.collapses
         if collapses is None:
             return experiment
-        return experiment.until(collapse_time(experiment.times, experiment.radius.mean(0), collapses))
+        return experiment.until(collapse_time(experiment.times, experiment.mean, collapses))
 
     def run(
         self, shoot: Callable[[Tensor, int], Experiment], designs: int, *, progress: Progress | None = None

@@ -160,7 +160,7 @@ def _constant(batch: ExperimentBatch) -> Variables:
         "time": _variable(("experiment", "frame"), times, units="t U_c/Rmax"),
         "weber": _variable(("experiment",), batch.designs[:, 0], units="1", long_name="Weber number"),
         "rest_radius": _variable(("experiment",), batch.designs[:, 1], units="R_inf/Rmax"),
-        "repeats": _variable(("experiment",), batch.repeats),
+        "repeats": _variable(("experiment",), [e.repeats for e in batch.experiments]),
         "nuisance": _variable(("nuisance",), list(NUISANCES)),
         "nuisance_sd": _variable(("experiment", "nuisance"), batch.nuisance_sds, units="relative, t*, relative"),
     }

@@ -130,7 +130,7 @@ def _search_null(
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
     search = partial(assimilate, belief, batch, simulator, seed=seed, warn=False, progress=progress)
     scouted = EnsembleOptions(spread=SPREAD)
-    if isinstance(getattr(simulator, "simulator", simulator), PolytropicSimulator) or int(batch.repeats.max()) == 1:
+    if isinstance(getattr(simulator, "simulator", simulator), PolytropicSimulator) or int(batch.counts.max()) == 1:
         return search(options=scouted).fits[0]
     cheap = PolytropicSimulator(simulator.conditions)
     rough = assimilate(belief, batch, cheap, seed=seed, options=_ROUGH, warn=False).fits[0]

@@ -50,7 +50,8 @@ def noise_of_traces(experiments: Sequence[Experiment], *, correlation_time: floa
         InputDataError: if no trace has five frames.
     """
     unit = Noise(correlation_time=correlation_time)
-    rows = [_roughness(e.times, row, unit) for e in experiments for row in e.radius if len(e.times) > 2 * _REACH]
+    seen = [(e.times[frames], row[frames]) for e in experiments for row in e.radius if len(frames := _frames(row)) > 2 * _REACH]
+    rows = [_roughness(times, radius, unit) for times, radius in seen]
     if not rows:
         raise InputDataError("No trace has five frames, so their noise cannot be estimated; give the noise.")
     rough, constant, law = (torch.cat(parts) for parts in zip(*rows, strict=True))
@@ -66,6 +67,11 @@ def noise_of_traces(experiments: Sequence[Experiment], *, correlation_time: floa
     misfit[constants < unit.floor * scales[:, None]] = torch.inf  # never less of it than in the published proportion
     row, column = divmod(int(misfit.argmin()), _TRIED)
     return replace(unit, scale=float(scales[row]), floor=float(constants[column] / scales[row]))
+
+
+def _frames(radius: Tensor) -> Tensor:
+    """Indices of the frames that a repeat has."""
+    return torch.nonzero(torch.isfinite(radius))[:, 0]
 
 
 def _roughness(times: Tensor, radius: Tensor, unit: Noise) -> tuple[Tensor, Tensor, Tensor]:

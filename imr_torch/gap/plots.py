@@ -48,7 +48,7 @@ def phase_rms(fit: ModelFit, batch: ExperimentBatch) -> Tensor:
     1 is what noise alone leaves.
     """
     clock = phase_clock(batch.times, fit.prediction, batch.mask)
-    noise = batch.sd(fit.prediction) / batch.repeats.sqrt()[:, None]
+    noise = batch.sd(fit.prediction) / batch.counts.sqrt()
     square = torch.where(batch.mask, ((batch.mean - fit.prediction) / noise).square(), 0.0)
     names = [[phase_name(c) for c in row] for row in clock.tolist()]
     columns = []
@@ -176,7 +176,7 @@ def plot_residuals(
     """Residuals of the mean curve of one experiment over the noise of that mean, with the base model and with the cause."""
     ax = _axes(ax, (5.2, 2.2))
     seen, times = batch.mask[number], batch.times[number]
-    noise = batch.sd(base)[number] / math.sqrt(batch.experiments[number].repeats)
+    noise = batch.sd(base)[number] / batch.counts[number].sqrt()
     ax.axhspan(-2.0, 2.0, color="#DDDDDD", lw=0)
     for curve, color, style in ((base, BASE, "--"), (after, AFTER, "-")):
         if curve is not None:

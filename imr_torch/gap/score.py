@@ -249,7 +249,7 @@ def _bias(line: Linearisation) -> tuple[float, float]:
     batch = line.batch
     residual = torch.where(batch.mask, batch.mean - line.prediction, 0.0)
     frames = batch.mask.sum()
-    weight = 1.0 / batch.repeats[:, None].sqrt()
+    weight = 1.0 / batch.counts.sqrt()
     share = 1.0 - line.fitted.shape[1] / line.residual.shape[0]
     excess = (residual / line.sd).square().sum() / frames - share * float((weight.square() * batch.mask).sum() / frames)
     noise = ((line.sd * weight).square() * batch.mask).sum() / frames

@@ -47,11 +47,13 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
         size = outer.max_radius(float(weber))
         radius = torch.as_tensor(arrays["radius_m"][i]) / size
         times = torch.as_tensor(arrays["time_s"][i]) / outer.time_scale(size)
-        seen = torch.isfinite(radius).all(0) & torch.isfinite(times)
+        seen = torch.isfinite(radius).any(0) & torch.isfinite(times)
         if int(seen.sum()) < 2:
             raise InputDataError(
-                f"{path}: design {i} has {int(seen.sum())} frames that all repeats saw; at least 2 are needed."
+                f"{path}: design {i} has {int(seen.sum())} frames with a finite time and radius; at least 2 are needed."
             )
+        kept = torch.isfinite(radius[:, seen]).any(1)
+        radius = radius[kept]
         experiments.append(Experiment(f"design {i}", (float(weber), float(rest)), times[seen], radius[:, seen], nuisance))
         _check_units(f"{path}: design {i}", experiments[-1], size, outer.time_scale(size))
     return experiments

@@ -3,7 +3,7 @@
 In sample almost any effect closes most of a gap, so each design is predicted from fits that did not see it. With the mean
 curve ``y`` of ``n`` repeats, single-shot noise ``sigma`` and held-out prediction ``f``,
 
-    D = mean((y - f)^2 / sigma^2) - 1/n,        S = 1 - D_effect / D_base,
+    D = mean((y - f)^2 / sigma^2 - 1/n),        S = 1 - D_effect / D_base,
 
 so that ``D`` is a squared bias without noise and ``S`` the part of it that is gone. Beside it stand the best rival's ``S`` and
 the difference in held-out log predictive density (Vehtari, Gelman & Gabry, Stat. Comput. 27, 2017, for its standard error).
@@ -47,7 +47,7 @@ class HeldOut:
         by_nuisance: ``n_t x c`` tensor, change of the prediction by each nuisance of the design.
         log_density: ``n_t`` tensor, log predictive density of each frame of the mean curve given those before it, nats.
         square: sum of the squared predictive residuals; chi-square with as many degrees of freedom as frames.
-        repeats: curves behind the mean.
+        counts: ``n_t`` tensor, curves behind each frame of the mean.
         converged: whether the training fit did.
     """
 
@@ -55,7 +55,7 @@ class HeldOut:
     by_nuisance: Tensor
     log_density: Tensor
     square: float
-    repeats: float
+    counts: Tensor
     converged: bool
 
 
@@ -320,11 +320,11 @@ def held_out(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Hel
     spread = torch.cat((slopes[:, :size] @ fit.chol, slopes[:, size:]), 1)
     chol = torch.linalg.cholesky(torch.eye(data, dtype=torch.float64) + spread @ spread.mT)
     innovation = torch.linalg.solve_triangular(chol, centred[:, None], upper=False)[:, 0]
-    repeats = float(batch.repeats)
-    log_scale = chol.diagonal().log() + line.sd[0].log() - 0.5 * math.log(repeats / (2.0 * math.pi))
+    counts = batch.counts[0]
+    log_scale = chol.diagonal().log() + line.sd[0].log() - 0.5 * (counts / (2.0 * math.pi)).log()
     density = -0.5 * innovation.square() - log_scale
     square, sound = float(innovation.square().sum()), fit.certificate.converged
-    return HeldOut(residual, slopes[:, size:], density, square, repeats, sound)
+    return HeldOut(residual, slopes[:, size:], density, square, counts, sound)
 
 
 def _bootstrap(
@@ -340,12 +340,12 @@ def _bootstrap(
     gaps, drawn = {}, {}
     for name, designs in held.items():
         count = sum(len(d.residual) for d in designs)
-        expected = sum(_freedom(d) / d.repeats for d in designs) / count
-        observed = sum(float(d.residual.square().sum()) / d.repeats for d in designs) / count
+        expected = sum(_expected(d) for d in designs) / count
+        observed = sum(float((d.residual.square() / d.counts).sum()) for d in designs) / count
         gaps[name] = observed - expected
         scale = math.sqrt(max(gaps[name], 0.0) / observed)
         rows = [
-            (scale * d.residual + _less_nuisances(d, e)).square().sum(1) / d.repeats
+            ((scale * d.residual + _less_nuisances(d, e)).square() / d.counts).sum(1)
             for d, e in zip(designs, noise, strict=True)
         ]
         drawn[name] = torch.stack(rows).sum(0) / count - expected
@@ -373,9 +373,10 @@ def _less_nuisances(design: HeldOut, rows: Tensor) -> Tensor:
     return rows - torch.linalg.solve(precision, slopes.mT @ rows.mT).mT @ slopes.mT
 
 
-def _freedom(design: HeldOut) -> float:
-    """Expected square of what the fit of the nuisances leaves of unit noise."""
-    return float(_less_nuisances(design, torch.eye(len(design.residual), dtype=torch.float64)).square().sum())
+def _expected(design: HeldOut) -> float:
+    """Expected square of what the fit of the nuisances leaves of noise, in single-shot variances."""
+    unit = torch.eye(len(design.residual), dtype=torch.float64)
+    return float((_less_nuisances(design, unit).square() / design.counts).sum())
 
 
 def _compare(held: Mapping[str, Sequence[HeldOut]], effect: str, other: str) -> Comparison:

@@ -29,7 +29,7 @@ class Experiment:
         label: name in reports.
         design: (We, R_inf*) as achieved and measured.
         times: ``n_t`` tensor, dimensionless, from the maximum radius on.
-        radius: ``n_repeats x n_t`` tensor, R/Rmax.
+        radius: ``n_repeats x n_t`` tensor, R/Rmax; NaN where a repeat lacks a frame that another has.
         nuisance: what is uncertain about the design and the clock.
     """
 
@@ -50,11 +50,16 @@ class Experiment:
         if self.times.shape[0] < 2:
             raise InputDataError(f"Experiment {self.label!r} has {self.times.shape[0]} frames; at least 2 are needed.")
         check_designs(torch.tensor([self.design], dtype=torch.float64))
-        if not bool(torch.isfinite(self.radius).all()):
-            repeat, frame = torch.nonzero(~torch.isfinite(self.radius))[0].tolist()
+        if bool(torch.isinf(self.radius).any()):
+            repeat, frame = torch.nonzero(torch.isinf(self.radius))[0].tolist()
             raise InputDataError(
                 f"Experiment {self.label!r}: radius of repeat {repeat}, frame {frame} is {self.radius[repeat, frame]}; "
-                "leave missing frames out of times and radius."
+                "mark a missing frame by NaN."
+            )
+        if not bool((self.counts > 0).all()):
+            frame = int(torch.nonzero(self.counts == 0)[0])
+            raise InputDataError(
+                f"Experiment {self.label!r}: radius of frame {frame} is NaN in every repeat; leave it out of times and radius."
             )
         if bool((self.times[1:] <= self.times[:-1]).any()) or not bool(torch.isfinite(self.times).all()):
             raise InputDataError(f"Experiment {self.label!r}: times must be finite and increase.")
@@ -63,6 +68,21 @@ class Experiment:
     def repeats(self) -> int:
         """Number of repeats."""
         return self.radius.shape[0]
+
+    @cached_property
+    def counts(self) -> Tensor:
+        """``n_t`` tensor: repeats that have each frame."""
+        return torch.isfinite(self.radius).sum(0)
+
+    @cached_property
+    def mean(self) -> Tensor:
+        """``n_t`` tensor: mean over the repeats that have each frame."""
+        return self.radius.nanmean(0)
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether a repeat lacks a frame that another has."""
+        return bool((self.counts < self.repeats).any())
 
     def until(self, last: float) -> "Experiment":
         """The experiment cut off after the dimensionless time ``last``."""
@@ -85,6 +105,12 @@ class ExperimentBatch:
     def __post_init__(self) -> None:
         if not self.experiments:
             raise InputDataError("At least one experiment is needed.")
+        gaps = [e.label for e in self.experiments if e.has_gaps]
+        if gaps and self.noise.correlation_time > 0.0:
+            raise InputDataError(
+                f"Experiment {gaps[0]!r}: a repeat lacks frames that another has, and Noise.correlation_time is "
+                f"{self.noise.correlation_time:g}; leave these frames out of all repeats, or take 0."
+            )
 
     def _padded(self, rows: Sequence[Tensor], fill: float) -> Tensor:
         width = max(row.shape[0] for row in rows)
@@ -111,12 +137,12 @@ class ExperimentBatch:
     @cached_property
     def mean(self) -> Tensor:
         """``E x T`` tensor: mean over repeats; 0 in the padding."""
-        return self._padded([e.radius.mean(0) for e in self.experiments], 0.0)
+        return self._padded([e.mean for e in self.experiments], 0.0)
 
     @cached_property
-    def repeats(self) -> Tensor:
-        """``E`` tensor: number of repeats."""
-        return torch.tensor([float(e.repeats) for e in self.experiments], dtype=torch.float64)
+    def counts(self) -> Tensor:
+        """``E x T`` tensor: repeats behind each frame of the mean; 1 in the padding."""
+        return self._padded([e.counts.to(torch.float64) for e in self.experiments], 1.0)
 
     @cached_property
     def _decorrelation(self) -> Tensor | None:
@@ -128,9 +154,9 @@ class ExperimentBatch:
         width = self.times.shape[1]
         rows = []
         for e in self.experiments:
-            deviation = e.radius - e.radius.mean(0)
+            deviation = (e.radius - e.mean).nan_to_num()
             padded = torch.nn.functional.pad(deviation, (0, width - deviation.shape[1]))
-            rows.append(padded.mT @ padded / e.repeats)
+            rows.append(padded.mT @ padded)
         scatter = torch.stack(rows)
         if self._decorrelation is None:
             return torch.diag_embed(scatter.diagonal(dim1=-2, dim2=-1))
@@ -150,22 +176,21 @@ class ExperimentBatch:
         scaled = torch.where(self.mask, values / sd, 0.0)
         if self._decorrelation is not None:
             scaled = _along_frames(self._decorrelation, scaled)
-        return scaled * self.repeats.sqrt()[:, None]
+        return scaled * self.counts.sqrt()
 
     def log_likelihood(self, prediction: Tensor) -> Tensor:
         """Log density of all repeats and frames of each experiment: ``... x E x T`` to ``... x E``; ``-inf`` for NaN."""
         sd = self.sd(prediction)
         square = self.whiten(self.mean - prediction, sd).square().sum(-1)
         weight = torch.where(self.mask, 1.0 / sd, 0.0)
+        log_sd = sd.log()
         if self._decorrelation is None:
             scatter = (weight.square() * self._scatter.diagonal(dim1=-2, dim2=-1)).sum(-1)
-            correlation = 0.0
         else:
             scatter = (_along_frames(self._scatter, weight) * weight).sum(-1)
-            correlation = -self._decorrelation.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        frames = self.mask.sum(-1).to(sd.dtype)
-        normaliser = sd.log().sum(-1) + correlation + 0.5 * frames * math.log(2.0 * math.pi)
-        value = -0.5 * square - self.repeats * (0.5 * scatter + normaliser)
+            log_sd = log_sd - self._decorrelation.diagonal(dim1=-2, dim2=-1).log()
+        normaliser = (torch.where(self.mask, self.counts, 0.0) * (log_sd + 0.5 * math.log(2.0 * math.pi))).sum(-1)
+        value = -0.5 * square - 0.5 * scatter - normaliser
         return torch.where(torch.isnan(value), -torch.inf, value)
 
 

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from imr_torch.assimilate import EnsembleOptions, assimilate, assimilate_estimating_noise, unknown_noise
+from imr_torch.errors import InputDataError
 from imr_torch.observe import Experiment, ExperimentBatch
 from tests.linear import NOISE, LinearSimulator, prior, tensor
 
@@ -41,6 +42,19 @@ def test_that_the_scale_is_found_and_intervals_widen_with_it(repeats: int) -> No
     assert found.batch.noise.floor == NOISE.floor
     wider = (found["nhkv"].chol.diagonal() / stated["nhkv"].chol.diagonal()).mean()
     assert float(wider) == pytest.approx(3.0, rel=0.2)
+
+
+def test_that_noise_is_not_estimated_from_repeats_with_gaps_and_given_noise_is_used() -> None:
+    batch = filmed(1.0, 8)
+    radius = batch.experiments[0].radius.clone()
+    radius[0, 10:20] = torch.nan
+    batch = ExperimentBatch((replace(batch.experiments[0], radius=radius), *batch.experiments[1:]), NOISE)
+    with pytest.raises(InputDataError, match=r"Experiment 'We 200.0': a repeat lacks frames .* or give the noise"):
+        fitted(batch, 2)
+    whole, gaps = fitted(filmed(1.0, 8), 0)["nhkv"], fitted(batch, 0)["nhkv"]
+    assert gaps.certificate.converged
+    assert not torch.equal(gaps.mean, whole.mean)
+    assert bool(((gaps.mean - whole.mean).abs() < 0.5 * whole.chol.norm(dim=1)).all())  # 10 frames of 1440 are missing
 
 
 def test_that_a_correlation_time_is_found() -> None:

@@ -70,7 +70,7 @@ def test_that_data_are_what_was_measured_and_missing_frames_are_nan(weighed: Ass
     assert np.array_equal(np.isfinite(radius), batch.mask.numpy())
     assert np.array_equal(radius[batch.mask], batch.mean[batch.mask].numpy())
     assert np.array_equal(times[batch.mask], batch.times[batch.mask].numpy())
-    assert tree["nhkv/constant_data"]["repeats"].values.tolist() == batch.repeats.tolist()
+    assert tree["nhkv/constant_data"]["repeats"].values.tolist() == [e.repeats for e in batch.experiments]
 
 
 def test_that_arvizs_leave_one_out_is_the_score_of_the_library(weighed: Assimilation) -> None:

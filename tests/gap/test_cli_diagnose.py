@@ -46,6 +46,30 @@ def test_that_a_set_comes_back_as_it_was_shot(matched):
     assert float(second.times[-1]) == pytest.approx(2.6)
 
 
+def test_that_missing_frames_and_missing_repeats_are_left_out_and_no_others(matched, tmp_path):
+    with np.load(matched) as document:
+        arrays = dict(document)
+    arrays["radius_m"][0, 1] = np.nan  # a repeat that was not shot
+    arrays["radius_m"][0, 2, 5:7] = np.nan
+    arrays["radius_m"][1, :, 50:] = np.nan  # a shorter film
+    np.savez(tmp_path / "gaps.npz", **arrays)
+    first, second = load_set(tmp_path / "gaps.npz")
+    assert first.radius.shape == (4, 53)
+    assert first.counts.tolist() == [4] * 5 + [3] * 2 + [4] * 46
+    assert (second.radius.shape, second.has_gaps) == ((5, 50), False)
+
+
+def test_that_matched_data_with_gaps_give_silence(matched, tmp_path):
+    with np.load(matched) as document:
+        arrays = dict(document)
+    lost = np.random.default_rng(0).random(arrays["radius_m"].shape) < 0.2
+    arrays["radius_m"][lost] = np.nan
+    np.savez(tmp_path / "gaps.npz", **arrays)
+    assert main(["diagnose", str(tmp_path / "gaps.npz"), *FAST, "--json", str(tmp_path / "result.json")]) == 0
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert (result["gap"], result["verdict"], result["converged"]) == (False, "none", True)
+
+
 def test_that_noise_may_make_a_collapsed_radius_negative(matched, tmp_path):
     with np.load(matched) as document:
         arrays = dict(document)
@@ -115,7 +139,7 @@ def broken(tmp_path, matched) -> dict[str, Path]:
         (["{short}"], r"time_s has shape \(2, 53\); expected 2 dimensions, the first of 1 designs"),
         (["{flat}"], r"radius_m has shape \(2, 53\); expected 3 dimensions"),
         (["{frames}"], "radius_m has 53 frames, time_s 52"),
-        (["{empty}"], "design 0 has 0 frames that all repeats saw; at least 2 are needed"),
+        (["{empty}"], "design 0 has 0 frames with a finite time and radius; at least 2 are needed"),
         (["{negative}"], "expected We > 0"),
         (["{hole}"], "design 0: radius_m holds -1; expected metres, from about 0"),
         (["{millimetres}"], r"radius_m holds 0\.\d+; expected metres, from about 0 to not far above Rmax"),

@@ -130,7 +130,7 @@ def test_that_repeats_needed_follow_the_normal_approximation_of_a_two_sided_test
 def test_that_the_phase_map_shows_a_residual_where_it_is(found):
     report, _ = found
     fit, batch = report.null, report.batch
-    noise = batch.sd(batch.mean) / batch.repeats.sqrt()[:, None]
+    noise = batch.sd(batch.mean) / batch.counts.sqrt()
     moved = batch.mean.clone()
     moved[1] -= 3.0 * noise[1]
     values = plots.phase_rms(replace(fit, prediction=moved), batch)

@@ -1,5 +1,3 @@
-import math
-
 import pytest
 import torch
 
@@ -45,13 +43,14 @@ def test_that_the_shift_is_the_bias_of_the_base(judged: Shrinkage) -> None:
     assert abs(shift.relative) > 3.0 * shift.sd > 0.0
 
 
-def design(bias: float, repeats: float, seed: int, slopes: int = 0) -> HeldOut:
+def design(bias: float, repeats: float | torch.Tensor, seed: int, slopes: int = 0) -> HeldOut:
     """A held-out design with a known whitened bias and noise drawn anew."""
     source = torch.Generator().manual_seed(seed)
     noise = torch.randn(80, generator=source, dtype=torch.float64)
     own = torch.randn(80, slopes, generator=source, dtype=torch.float64)
     zero = torch.zeros(80, dtype=torch.float64)
-    return HeldOut(bias * math.sqrt(repeats) + noise, own, zero, 0.0, repeats, True)
+    counts = torch.as_tensor(repeats, dtype=torch.float64).expand(80)
+    return HeldOut(bias * counts.sqrt() + noise, own, zero, 0.0, counts, True)
 
 
 def test_that_the_interval_covers_the_true_shrinkage_as_often_as_it_says() -> None:
@@ -64,7 +63,7 @@ def test_that_the_interval_covers_the_true_shrinkage_as_often_as_it_says() -> No
 
 
 def test_that_the_gap_is_the_squared_bias_whatever_the_repeats_and_the_nuisances() -> None:
-    for repeats in (1.0, 20.0):
+    for repeats in (1.0, 20.0, torch.arange(1, 81).clamp_max(20)):  # the last: repeats with gaps
         gaps = [_bootstrap({"none": [design(0.3, repeats, seed)]}, 0)[0]["none"] for seed in range(60)]
         assert sum(gaps) / 60 == pytest.approx(0.09, abs=0.05)
 

@@ -71,6 +71,45 @@ def test_that_the_constant_of_the_normal_density_has_all_its_digits() -> None:
     assert found == pytest.approx(-500.0 * math.log(2.0 * math.pi), rel=1e-14)
 
 
+def with_gaps() -> ExperimentBatch:
+    """The shots with a third of the frames of every repeat but the first missing."""
+    made = []
+    for i, shot in enumerate(shots()):
+        missing = torch.rand(shot.radius.shape, generator=generator(40 + i), dtype=torch.float64) < 1.0 / 3.0
+        missing[0] = False
+        made.append(replace(shot, radius=shot.radius.masked_fill(missing, torch.nan)))
+    return ExperimentBatch(tuple(made))
+
+
+def test_that_with_gaps_the_log_likelihood_is_the_density_of_what_was_seen() -> None:
+    batch, predicted = with_gaps(), prediction(2)
+    found = batch.log_likelihood(predicted)
+    assert [e.has_gaps for e in batch.experiments] == [True, False, True]
+    for i in range(2):
+        for e, shot in enumerate(batch.experiments):
+            curve = predicted[i, e, : len(shot.times)]
+            law = torch.distributions.Normal(curve, batch.noise.sd(curve, shot.times))
+            expected = law.log_prob(shot.radius.nan_to_num())[torch.isfinite(shot.radius)].sum()
+            assert float(found[i, e]) == pytest.approx(float(expected), rel=1e-10)
+
+
+def test_that_with_gaps_whitening_makes_the_noise_of_the_mean_standard() -> None:
+    batch = with_gaps()
+    sd = batch.sd(prediction())
+    of_mean = torch.where(batch.mask, sd / batch.counts.sqrt(), 0.0)
+    torch.testing.assert_close(batch.whiten(of_mean, sd), batch.mask.to(sd), rtol=1e-12, atol=0.0)
+
+
+def test_that_the_mean_is_over_what_was_seen() -> None:
+    shot = Experiment("x", (500.0, 0.2), tensor(0.0, 0.1), tensor([1.0, 0.8], [0.9, math.nan]))
+    assert (shot.mean.tolist(), shot.counts.tolist()) == ([0.95, 0.8], [2, 1])
+
+
+def test_that_correlated_noise_with_gaps_is_refused_with_the_remedy() -> None:
+    with pytest.raises(InputDataError, match=r"Experiment 'e0'.*correlation_time is 0.2; leave these frames out.*or take 0"):
+        ExperimentBatch(with_gaps().experiments, Noise(correlation_time=0.2))
+
+
 @ALL
 def test_that_an_experiment_in_company_is_the_experiment_alone(noise: Noise) -> None:
     batch, predicted = ExperimentBatch(shots(), noise), prediction()
@@ -147,7 +186,8 @@ def test_that_padding_is_masked_and_times_still_increase() -> None:
         assert torch.equal(batch.times[e, :frames], shot.times)
         torch.testing.assert_close(batch.mean[e, :frames], shot.radius.mean(0))
         assert bool((batch.mean[e, frames:] == 0.0).all())
-    assert batch.repeats.tolist() == [repeats for _, repeats in SIZES]
+    assert [row[0] for row in batch.counts.tolist()] == [repeats for _, repeats in SIZES]
+    assert bool((batch.counts[~batch.mask] == 1.0).all())
     assert batch.designs.tolist() == [[300.0, 0.2], [500.0, 0.2], [700.0, 0.2]]
     assert batch.nuisance_sds.tolist() == [[0.0, 0.02, 0.0], [0.01, 0.02, 0.0], [0.02, 0.02, 0.0]]
 
@@ -237,7 +277,13 @@ TIMES, RADIUS = tensor(0.0, 0.1, 0.2), tensor([1.0, 0.9, 0.8])
         ((500.0, 0.2), TIMES[:1], RADIUS[:, :1], InputDataError, r"Experiment 'x' has 1 frames; at least 2 are needed"),
         ((500.0, 1.2), TIMES, RADIUS, InputDataError, r"0 < R_inf\* < 1"),
         ((-1.0, 0.2), TIMES, RADIUS, InputDataError, r"expected We > 0"),
-        ((500.0, 0.2), TIMES, tensor([1.0, math.nan, 0.8]), InputDataError, r"radius of repeat 0, frame 1 is nan"),
+        (
+            (500.0, 0.2),
+            TIMES,
+            tensor([1.0, math.nan, 0.8]),
+            InputDataError,
+            r"radius of frame 1 is NaN in every repeat; leave it out",
+        ),
         (
             (500.0, 0.2),
             TIMES,
