@@ -1,6 +1,6 @@
 """The published study again, a figure a subcommand, and the table of what the default does in its place.
 
-  python benchmarks/paper.py bo|ensembles|models|errors --out FOLDER     # computes and draws
+  python benchmarks/paper.py bo|ensembles|models|errors|limit --out FOLDER     # computes and draws
   python benchmarks/paper.py search --out FOLDER     # the cheap search against a dearer one; after the campaigns
   python benchmarks/paper.py campaigns --case stiff-pa --policy optimal --seeds 0:5 --designs 3 --out FOLDER
   python benchmarks/paper.py sequence|trajectory|table --out FOLDER      # from the campaigns' journals
@@ -25,6 +25,7 @@ FIGURES = {
     "ensembles": paper_figures.ensembles,
     "models": paper_figures.models,
     "errors": paper_figures.errors,
+    "limit": paper_figures.limit,
     "sequence": paper_figures.sequence,
     "trajectory": paper_figures.trajectory,
 }

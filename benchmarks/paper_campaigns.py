@@ -107,21 +107,29 @@ def run(
         pool.shutdown()
 
 
-def bounds(case: ReferenceCase, designs: Tensor, simulator: Simulator) -> Tensor:
-    """Cramer-Rao bounds with the prior of the controls' standard deviations after each design: ``E x d``."""
+def informations(case: ReferenceCase, designs: Tensor, simulator: Simulator) -> Tensor:
+    """Fisher information of the controls of the true gel in each design: ``E x d x d``."""
     part = case.prior[case.truth_model]
     belief = Belief((part,), torch.zeros(1, dtype=torch.float64))
-    truth = part.to_controls(torch.tensor([case.truth[name] for name in part.names], dtype=torch.float64))
     shot = Shot(belief, designs, simulator, PLAN)
     with torch.no_grad():
-        seen = respond(shot, part, truth[None])
-    information, rows = torch.eye(len(part.names), dtype=torch.float64), []
-    for number in range(len(designs)):
-        one = seen.of_design(number)
-        chol = infer(Data(one.radius, PLAN.window(one.radius)), one, PLAN).chol[0]
-        information = information + chol @ chol.mT - torch.eye(len(chol), dtype=torch.float64)
-        rows.append(torch.linalg.inv(information).diagonal().sqrt())
-    return torch.stack(rows)
+        seen = respond(shot, part, true_controls(case)[None])
+    each = (seen.of_design(number) for number in range(len(designs)))
+    chols = torch.stack([infer(Data(one.radius, PLAN.window(one.radius)), one, PLAN).chol[0] for one in each])
+    return chols @ chols.mT - torch.eye(chols.shape[-1], dtype=torch.float64)
+
+
+def true_controls(case: ReferenceCase) -> Tensor:
+    """``d`` tensor, controls of the true gel under its own model."""
+    part = case.prior[case.truth_model]
+    return part.to_controls(torch.tensor([case.truth[name] for name in part.names], dtype=torch.float64))
+
+
+def bounds(case: ReferenceCase, designs: Tensor, simulator: Simulator) -> Tensor:
+    """Cramer-Rao bounds with the prior of the controls' standard deviations after each design: ``E x d``."""
+    each = informations(case, designs, simulator)
+    known = torch.eye(each.shape[-1], dtype=torch.float64) + each.cumsum(0)
+    return torch.linalg.inv(known).diagonal(dim1=-2, dim2=-1).sqrt()
 
 
 def _row(campaign: Campaign, step: Step, case: ReferenceCase, bound: Tensor) -> Row:

@@ -20,7 +20,7 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from paper_campaigns import PLAN, POLICIES, SEARCH, SIMULATOR, WITHIN, Row, read, study
+from paper_campaigns import PLAN, POLICIES, SEARCH, SIMULATOR, WITHIN, Row, informations, read, study, true_controls
 
 from imr_torch.assimilate import PublishedFit, assimilate_published
 from imr_torch.campaign import PAPER_OPTIMAL, ExactLearner, Harvest, Learner, Optimal, PaperLearner, Situation
@@ -35,6 +35,8 @@ RADII = {"985 um, .2887": (985e-6, 0.2887), "387 um, .15": (387e-6, 0.15)}
 DRAWS = (200, 400, 800, 1600)
 SPREADS = (0.02, 0.04, 0.06, 0.08, 0.10)
 NOISES = (0.5, 1.0, 2.0, 4.0)
+LIMIT_WEBERS = (100.0, 150.0, 200.0, 300.0, 400.0, 500.0, 650.0, 800.0, 1000.0)
+LIMIT_RESTS = (0.14, 0.16, 0.18, 0.20, 0.22, 0.24, 0.26, 0.28, 0.30)
 LEARNERS: dict[str, Learner] = {"paper": PaperLearner(), "exact": ExactLearner()}
 COLORS = {"optimal": "#0072B2", "random": "#E69F00"}
 
@@ -229,6 +231,38 @@ def errors(folder: Path) -> None:
         ax.set(xlabel=label, ylabel="posterior sd / truth", yscale="log")
     axes[0].legend(fontsize=7)
     finish(folder, "errors", rows, figure)
+
+
+def limit(folder: Path) -> None:
+    """What the best designs of a grid would leave if the gel were known: the bound for any choice of designs.
+
+    Best by the largest relative standard deviation of a parameter, and by the volume of the posterior.
+    """
+    grid = torch.tensor(list(product(LIMIT_WEBERS, LIMIT_RESTS)), dtype=torch.float64)
+    part, truth = CASE.prior[CASE.truth_model], true_controls(CASE)
+    each = informations(CASE, grid, SIMULATOR)
+    slopes: Any = torch.autograd.functional.jacobian(lambda v: part.physical(part.mean + part.chol @ v), truth)
+    gel = part.physical(part.mean + part.chol @ truth)
+    document, figure = {}, plt.figure(figsize=(9.0, 3.2), layout="constrained")
+    for count, ax in enumerate(figure.subplots(1, 3), start=1):
+        sets = torch.combinations(torch.arange(len(grid)), count, with_replacement=True)
+        known = torch.eye(len(gel), dtype=torch.float64) + each[sets].sum(1)
+        covariance = slopes @ torch.linalg.inv(known) @ slopes.mT
+        sds = covariance.diagonal(dim1=-2, dim2=-1).sqrt() / gel
+        worst = sds.amax(1)
+        chosen = {"by the worst parameter": int(worst.argmin()), "by volume": int(torch.logdet(known).argmax())}
+        document[count] = {
+            name: {"designs": grid[sets[i]].tolist(), "sds": dict(zip(part.names, sds[i].tolist(), strict=True))}
+            for name, i in chosen.items()
+        }
+        best = torch.full((len(grid),), torch.inf, dtype=torch.float64)
+        best = best.scatter_reduce(0, sets.flatten(), worst.repeat_interleave(count), "amin").unflatten(
+            0, (len(LIMIT_WEBERS), -1)
+        )
+        image = ax.pcolormesh(LIMIT_RESTS, LIMIT_WEBERS, 100.0 * best, shading="nearest")
+        figure.colorbar(image, ax=ax)
+        ax.set(title=f"{count} designs: least worst sd, %", xlabel="R_inf*", ylabel="We")
+    finish(folder, "limit", document, figure)
 
 
 def _line(ax: Axes, seeds: dict[int, list[Row]], value: Callable[[Row], float | None], color: str, label: str) -> list[Any]:
