@@ -234,7 +234,7 @@ def errors(folder: Path) -> None:
 
 
 def limit(folder: Path) -> None:
-    """What the best designs of a grid would leave if the gel were known: the bound for any choice of designs.
+    """What the best designs of a grid would leave if the gel were known: what a search over these designs cannot beat.
 
     Best by the largest relative standard deviation of a parameter, and by the volume of the posterior.
     """
