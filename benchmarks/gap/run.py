@@ -10,19 +10,23 @@ from typing import Any
 
 from benchmarks.gap.baselines import baselines
 from benchmarks.gap.identity import compare_designs
-from benchmarks.gap.sets import SyntheticSet, Task, make_set
+from benchmarks.gap.sets import GEL, SyntheticSet, Task, make_set
+from benchmarks.gap.signals import signal_by_phase
+from benchmarks.gap.table import families
 from imr_torch.assimilate import EnsembleOptions
 from imr_torch.gap import LIBRARY, GapReport, diagnose, to_json
 from imr_torch.gap.attribute import ADEQUATE, adequacy_test
 from imr_torch.gap.diagnose import impatient
-from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses
-from imr_torch.gap.locate import onset
+from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
+from imr_torch.gap.locate import PHASES, onset
 from imr_torch.gap.shrinkage import held_out, shrinkage_unseen
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 
 _DECIDING = ("score", "attribute", "diagnose", "hypotheses", "locate", "refitted", "restrict", "shrinkage", "windows")
+_LOUD = 4.5  # sd at which one test of hundreds rejects at one per cent
+_LESS = 0.7  # amplitude of a second start over the true one
 _KEPT = ("gap", "p_gap", "bias_sigma", "verdict", "cause", "adequacy_p", "converged", "seconds")
 
 
@@ -75,7 +79,7 @@ def run_task(task: Task, extras: Extras | None = None, simulator: Simulator | No
             no_verdict = {"gap": False, "verdict": "next", "cause": []}
             return line | no_verdict | compare_designs(task, impatient(simulator or task.simulator()))
         data = make_set(task)
-        line |= {"truth": list(data.truth), "values": data.values, "signal": data.signal, "phase": data.phase}
+        line |= {"truth": list(data.truth), "values": data.values, "signal": data.signal}
         line |= {"designs": [list(e.design) for e in data.experiments], "offered": len(data.offered)}
         simulator, seed = simulator or task.simulator(), child(task.seed, "diagnosis", task.key)
         report = diagnose(data.experiments, effects=data.offered, simulator=simulator, seed=seed)
@@ -113,17 +117,33 @@ def _parts(data: SyntheticSet, report: GapReport, simulator: Simulator, seed: in
         yield {"baselines": baselines(report, report.line, data.offered, simulator, seed=child(seed, "baselines"))}
     if not report.found:
         return
+    if report.cause and len(data.truth) == 1 and not families(data.truth) <= families(report.cause):
+        yield _advantage(data, report, simulator, seed)
     if extras.onset and data.truth:
-        yield _onset(report, simulator, seed)
+        yield _onset(data, report, simulator, seed)
     if extras.shrinkage and len(data.truth) == 1 and report.attribution is not None:
         yield _shrinkage(data, report, simulator, seed)
 
 
-def _onset(report: GapReport, simulator: Simulator, seed: int) -> dict[str, Any]:
-    """When the gap begins; the truth is the set's own phase."""
+def _onset(data: SyntheticSet, report: GapReport, simulator: Simulator, seed: int) -> dict[str, Any]:
+    """When the gap begins, found and true: the first phase up to whose end the truth adds what shows in a test for it."""
     own = child(seed, "onset")
+    gel = {name: data.values[name] for name in GEL}
+    shown = signal_by_phase(gel, data.values, ExperimentBatch(data.experiments), simulator)
+    true = next((phase for phase, size in zip(PHASES, shown, strict=True) if size >= _LOUD), "none")
     when = onset(report.null, report.line, report.batch, simulator, seed=own, directions=report.directions)
-    return {"onset_phase": when.phase, "onset_t": when.time}
+    return {"phase": true, "signal_by_phase": shown, "onset_phase": when.phase, "onset_t": when.time}
+
+
+def _advantage(data: SyntheticSet, report: GapReport, simulator: Simulator, seed: int) -> dict[str, Any]:
+    """Nats by which the truth explains the data better than what is wrongly suspected, so what could be known at all."""
+    found, (truth,) = report.attribution, data.truth
+    assert found is not None
+    values = tuple(data.values[name] for name in LIBRARY[truth].names)
+    starts = {truth: [values, (_LESS * values[0], *values[1:])]}
+    right = Hypothesis(report.null.prior, (LIBRARY[truth],))
+    fits = fit_hypotheses([right], report.null, report.batch, simulator, seed=child(seed, "truth"), starts=starts)
+    return {"truth_ahead": laplace_evidence(fits[truth]) - found.log_evidence[found.winner]}
 
 
 def _shrinkage(data: SyntheticSet, report: GapReport, simulator: Simulator, seed: int) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from torch import Tensor
 from benchmarks.gap.signals import signals
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import LIBRARY, Effect, library
-from imr_torch.gap.locate import PHASES
 from imr_torch.gap.sets import NUISANCE
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
@@ -24,13 +23,12 @@ KINDS = ("none", "effect", "withheld", "pair", "next")
 PHYSICS = ("polytropic", "transport")
 UNSEEN = 2  # designs beside those diagnosed, to judge shrinkage on
 
-_GEL = {"G": (2e3, 15e3), "mu": (0.03, 0.3)}
+GEL = {"G": (2e3, 15e3), "mu": (0.03, 0.3)}
 _WEBER, _REST = (100.0, 1000.0), (0.14, 0.30)
 _APART = 0.1  # least distance of two designs, both coordinates scaled to 1
 _AMPLITUDE = (0.2, 2.0)  # in prior standard deviations
 _ACTS = 0.1  # least sd: what acts less does nothing in this physics
 _SEEN = 4.0  # sd beside a refit at which an effect counts as detectable
-_LOUD = 4.5  # sd at which one test of hundreds rejects at one per cent
 _DRAWS = {"none": 0, "effect": 4, "withheld": 4, "pair": 8, "next": 4}  # effects drawn, of which detectable ones come first
 _ATTEMPTS = 20
 
@@ -99,7 +97,6 @@ class SyntheticSet:
         offered: the library of the diagnosis.
         values: true parameters beside neutral ones, SI.
         signal: sd that a refit of G, mu and nuisances leaves of each effect in the data that are diagnosed.
-        phase: first phase up to whose end an effect adds what shows in a test for it, ``"none"`` if never.
     """
 
     experiments: tuple[Experiment, ...]
@@ -109,7 +106,6 @@ class SyntheticSet:
     offered: tuple[Effect, ...]
     values: dict[str, float]
     signal: dict[str, float] = field(default_factory=dict)
-    phase: str = "none"
 
     def noiseless(self, *, unseen: bool = False) -> ExperimentBatch:
         """The set, or its unseen designs, with the true curve in place of every repeat."""
@@ -137,13 +133,12 @@ def make_set(task: Task) -> SyntheticSet:
 
 
 def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
-    gel = {name: _log_uniform(bounds, source) for name, bounds in _GEL.items()}
+    gel = {name: _log_uniform(bounds, source) for name, bounds in GEL.items()}
     plan = make_plan(draw_designs(task.designs + UNSEEN, source), task)
     drawn = [draw_effect(_one_of(task.candidates, source), source) for _ in range(_DRAWS[task.kind])]
     diagnosed = ExperimentBatch(plan.experiments[: task.designs])
-    by_phase = signals(gel, [changed for _, changed in drawn], diagnosed, task.simulator(), task.repeats)
-    whole = [row[-1] for row in by_phase]
-    chosen = choose(drawn, whole, {"none": 0, "pair": 2}.get(task.kind, 1))
+    shown = signals(gel, [changed for _, changed in drawn], diagnosed, task.simulator())
+    chosen = choose(drawn, shown, {"none": 0, "pair": 2}.get(task.kind, 1))
     if chosen is None:
         return None
     values = gel | {name: value for i in chosen for name, value in drawn[i][1].items()}
@@ -154,10 +149,8 @@ def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
     truth = tuple(drawn[i][0].name for i in chosen)
     hidden = {drawn[i][0].family for i in chosen} if task.kind == "withheld" else set()
     offered = tuple(effect for effect in task.candidates if effect.family not in hidden)
-    signal = {drawn[i][0].name: whole[i] for i in chosen}
-    loud = [place for i in chosen for place, size in enumerate(by_phase[i]) if size >= _LOUD]
-    phase = PHASES[min(loud)] if loud else "none"
-    return SyntheticSet(experiments[: task.designs], experiments[task.designs :], curves, truth, offered, values, signal, phase)
+    signal = {drawn[i][0].name: shown[i] for i in chosen}
+    return SyntheticSet(experiments[: task.designs], experiments[task.designs :], curves, truth, offered, values, signal)
 
 
 def film(
@@ -199,7 +192,7 @@ def draw_designs(count: int, source: torch.Generator) -> Tensor:
 def make_plan(designs: Tensor, task: Task) -> ExperimentBatch:
     """Experiments before they are shot."""
     times = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
-    nuisance, blank = NUISANCE if task.nuisances else Nuisance(), torch.ones(1, 81, dtype=torch.float64)
+    nuisance, blank = NUISANCE if task.nuisances else Nuisance(), torch.ones(task.repeats, 81, dtype=torch.float64)
     pairs = [(weber, rest) for weber, rest in designs.tolist()]
     return ExperimentBatch(tuple(Experiment(f"design {i}", d, times, blank, nuisance) for i, d in enumerate(pairs)))
 

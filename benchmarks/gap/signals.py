@@ -1,146 +1,119 @@
 """How much of an effect shows: what a refit of the gel, and of what is uncertain in each experiment, leaves of it in sd.
 
-The refit is a real one as far as it makes the rest smaller: to first order alone, most effects leave several times more. The
-diagnosis does the like at a fit (`imr_torch/gap/refitted.py`); here the gel is the true one, nothing is fitted yet, and each
-phase is refitted for itself.
+The refit is a real one, of the true curve without noise: most effects are taken back further than to first order. It is apart
+from the fits under test: SciPy's trust-region least squares from the true gel.
 """
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from torch import Tensor
 
 from imr_torch.gap.locate import PHASES, phase_clock, phase_name
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, predict
-from imr_torch.simulate import Simulator
+from imr_torch.simulate import Simulator, simulate_together
 
-_NUDGE = 0.01  # relative step of G and mu, and step of nuisances in prior sd, for their slopes
-_FARTHEST_GEL, _FARTHEST_NUISANCE = 1.0, 15.0  # move of the log of G and mu, and of nuisances in prior sd
-_REFITS = 3
+Vector = NDArray[np.float64]
+
+_NUDGE = 1e-4  # relative step of G and mu, and step of nuisances in prior sd, for their slopes
+_FARTHEST = 3.0  # move of the log of G and mu, which the first frames alone do not hold
+_EVALUATIONS = 60
+_TOLERANCE = 1e-6  # relative, of the sum of squares
+_FAILED = 1e3  # residual of every frame where a bubble has no curve: no step goes there
 
 
 def signals(
-    gel: Mapping[str, float], effects: Sequence[Mapping[str, float]], plan: ExperimentBatch, simulator: Simulator, repeats: int
-) -> list[list[float]]:
-    """What a refit leaves of each effect, up to the end of each phase.
+    gel: Mapping[str, float], effects: Sequence[Mapping[str, float]], plan: ExperimentBatch, simulator: Simulator
+) -> list[float]:
+    """What a refit leaves of each effect.
 
     Args:
         gel: G and mu, SI.
         effects: changed parameters of each, SI.
-        plan: the experiments; their nuisances are refitted with their priors.
+        plan: the experiments, with as many repeats as are shot; their nuisances are refitted with their priors.
         simulator: makes the bubbles.
-        repeats: curves of each experiment.
 
     Returns:
-        A row an effect with an entry for each of ``PHASES``, in standard deviations of the data; NaN where it has no curve.
+        Length of each residual, in standard deviations of the data; NaN for an effect that has no curve.
     """
     if not effects:
         return []
-    refit = _Refit(gel, plan, simulator)
-    everywhere = _NUDGE * refit.everywhere
-    still = everywhere.new_zeros(1, everywhere.shape[1])
-    unchanged: list[Mapping[str, float]] = [{}] * (1 + len(everywhere))
-    curves = refit.curves([*unchanged, *effects], torch.cat((still, everywhere, still.expand(len(effects), -1))))
-    base, sd = curves[0].nan_to_num(), plan.sd(curves[0])
-    keep = _up_to_each_phase(base, plan)
-
-    def seen(radius: Tensor) -> Tensor:
-        return (plan.whiten(radius - base, sd) * math.sqrt(repeats)).flatten(1)
-
-    moved, changes = seen(curves[1:]).split([len(everywhere), len(effects)])
-    slopes = refit.of_each(moved).nan_to_num() * keep[:, None]  # P x k x N
-    changes = changes * keep[:, None]  # P x n x N
-    beside = refit.beside(slopes)
-    lengths = beside.length(changes)
-    for _ in range(_REFITS):
-        steps = beside.taking_back(changes)
-        moved = seen(refit.curves([*effects] * len(PHASES), -_NUDGE * steps.flatten(0, 1)))
-        rest = (moved.unflatten(0, steps.shape[:2]) + steps @ slopes) * keep[:, None]
-        now = beside.length(rest)
-        smaller = now < lengths  # not where a solve failed: NaN is not smaller
-        changes, lengths = torch.where(smaller[..., None], rest, changes), torch.where(smaller, now, lengths)
-    return lengths.mT.tolist()
+    curves = predict(simulator, torch.stack([PARAMETERS.pack({**gel, **effect}) for effect in effects]), plan)
+    tasks = [partial(_refit, gel, curve, plan.mask, plan) for curve in curves]
+    found = dict(simulate_together(tasks, simulator))
+    return [found[i][0] for i in range(len(effects))]
 
 
-class _Refit:
-    """What is refitted: the log of each parameter of the gel, then each uncertain nuisance of each experiment in prior sd.
+def signal_by_phase(
+    gel: Mapping[str, float], effect: Mapping[str, float], plan: ExperimentBatch, simulator: Simulator
+) -> list[float]:
+    """What a refit of the frames up to the end of each of ``PHASES`` leaves of an effect; see :func:`signals`.
 
-    Args:
-        gel: G and mu, SI.
-        plan: the experiments.
-        simulator: makes the bubbles.
+    Few frames have minima that the whole does not; where all frames lead is tried for each phase too.
     """
-
-    def __init__(self, gel: Mapping[str, float], plan: ExperimentBatch, simulator: Simulator):
-        self.gel, self.plan, self.simulator = gel, plan, simulator
-        self.uncertain: list[int] = torch.nonzero((plan.nuisance_sds > 0.0).any(0))[:, 0].tolist()
-
-    @property
-    def everywhere(self) -> Tensor:
-        """Moves that are simulated for slopes: of the gel, and of a nuisance in all experiments at once; ``(2 + C) x k``."""
-        blocks = torch.ones(1, len(self.plan.experiments), dtype=torch.float64)
-        gel, nuisances = torch.eye(len(self.gel), dtype=torch.float64), torch.eye(len(self.uncertain), dtype=torch.float64)
-        return torch.block_diag(gel, torch.kron(nuisances, blocks))
-
-    def of_each(self, slopes: Tensor) -> Tensor:
-        """Slopes of those moves (``(2 + C) x N``) as those of everything that is refitted, ``k x N``."""
-        experiments = len(self.plan.experiments)
-        gel, nuisances = slopes[: len(self.gel)], slopes[len(self.gel) :].unflatten(1, (experiments, -1))
-        eye = torch.eye(experiments, dtype=torch.float64)
-        return torch.cat((gel, (eye[:, :, None] * nuisances[:, None]).flatten(2).flatten(0, 1)))
-
-    def curves(self, changed: Sequence[Mapping[str, float]], moves: Tensor) -> Tensor:
-        """Radii after moves (``B x k``) and with changed parameters, ``B x E x T``."""
-        values = torch.tensor(list(self.gel.values()), dtype=torch.float64) * moves[:, : len(self.gel)].exp()
-        gels = (dict(zip(self.gel, row, strict=True)) for row in values.tolist())
-        parameters = torch.stack([PARAMETERS.pack({**gel, **effect}) for gel, effect in zip(gels, changed, strict=True)])
-        if not self.uncertain:
-            return predict(self.simulator, parameters, self.plan)
-        nuisances = moves.new_zeros(len(moves), len(self.plan.experiments), 3)
-        nuisances[..., self.uncertain] = moves[:, len(self.gel) :].unflatten(1, (len(self.uncertain), -1)).mT
-        return predict(self.simulator, parameters, self.plan, nuisances * self.plan.nuisance_sds)
-
-    def beside(self, slopes: Tensor) -> "_Beside":
-        """The neighbourhood of slopes of one nudge, ``P x k x N``; nuisances have their priors."""
-        free = len(self.gel)
-        nuisances = slopes.shape[1] - free
-        priors = torch.cat((slopes.new_zeros(free, nuisances), _NUDGE * torch.eye(nuisances).to(slopes)))
-        farthest = torch.cat((slopes.new_full((free,), _FARTHEST_GEL), slopes.new_full((nuisances,), _FARTHEST_NUISANCE)))
-        return _Beside(torch.cat((slopes, priors.expand(len(slopes), -1, -1)), 2).mT, farthest / _NUDGE)
-
-
-class _Beside:
-    """A linear refit in each phase.
-
-    Args:
-        fitted: ``P x (N + nuisances) x k`` tensor, what a nudge changes, priors below.
-        farthest: ``k`` tensor, most nudges of each.
-    """
-
-    def __init__(self, fitted: Tensor, farthest: Tensor):
-        self.fitted, self.farthest = fitted, farthest
-        self.basis = torch.linalg.qr(fitted).Q
-
-    def length(self, changes: Tensor) -> Tensor:
-        """What the refit leaves of changes (``P x n x N``), sd; ``P x n``."""
-        whole = self._whole(changes)
-        return (whole - (whole @ self.basis) @ self.basis.mT).norm(dim=-1)
-
-    def taking_back(self, changes: Tensor) -> Tensor:
-        """Nudges that add up to the changes, as far as they can, ``P x n x k``."""
-        target = self._whole(changes.nan_to_num()).mT
-        nudges = torch.linalg.lstsq(self.fitted, target, driver="gelsd").solution.mT
-        return torch.maximum(torch.minimum(nudges, self.farthest), -self.farthest)
-
-    def _whole(self, changes: Tensor) -> Tensor:
-        """Changes above zeros for the priors."""
-        return torch.nn.functional.pad(changes, (0, self.fitted.shape[1] - changes.shape[-1]))
-
-
-def _up_to_each_phase(base: Tensor, plan: ExperimentBatch) -> Tensor:
-    """Which frames lie no later than each of ``PHASES``; ``P x N`` of ones and zeros."""
-    clock = phase_clock(plan.times, base, plan.mask)
+    without, curve = predict(simulator, torch.stack([PARAMETERS.pack(gel), PARAMETERS.pack({**gel, **effect})]), plan)
+    clock = phase_clock(plan.times, without, plan.mask)
     phase = torch.tensor([[PHASES.index(phase_name(c)) for c in row] for row in clock.tolist()])
-    return torch.stack([phase <= last for last in range(len(PHASES))]).flatten(1).to(base)
+    _, whole = _refit(gel, curve, plan.mask, plan, simulator)
+    parts = [plan.mask & (phase <= last) for last in range(len(PHASES))]
+    tasks = [partial(_refit, gel, curve, frames, plan, start=start) for frames in parts for start in (None, whole)]
+    found = dict(simulate_together(tasks, simulator))
+    lengths = [found[i][0] for i in range(len(tasks))]
+    return [min(pair) for pair in zip(lengths[::2], lengths[1::2], strict=True)]
+
+
+def _refit(
+    gel: Mapping[str, float],
+    curve: Tensor,
+    frames: Tensor,
+    plan: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    start: Vector | None = None,
+) -> tuple[float, Vector]:
+    """Length of what a refit leaves of a true curve (``E x T``) in some frames, and where it ended.
+
+    Places are moves of the log of each parameter of the gel, then of each uncertain nuisance of each experiment in prior sd.
+    """
+    uncertain: list[int] = torch.nonzero((plan.nuisance_sds > 0.0).any(0))[:, 0].tolist()
+    experiments, sd = len(plan.experiments), plan.sd(curve)
+    still = np.zeros(len(gel) + experiments * len(uncertain))
+    if not bool(torch.isfinite(curve[frames]).all()):
+        return math.nan, still
+
+    def place(x: Tensor) -> tuple[Tensor, Tensor]:
+        values = torch.tensor(list(gel.values()), dtype=torch.float64) * x[:, : len(gel)].exp()
+        rows = torch.stack([PARAMETERS.pack(dict(zip(gel, row, strict=True))) for row in values.tolist()])
+        shifts = x.new_zeros(len(x), experiments, 3)
+        shifts[..., uncertain] = x[:, len(gel) :].unflatten(1, (experiments, len(uncertain)))
+        return rows, shifts * plan.nuisance_sds
+
+    def whitened(radius: Tensor) -> Tensor:
+        return plan.whiten(radius - curve, sd)[..., frames]
+
+    def residual(x: Vector) -> Vector:
+        rows, shifts = place(torch.from_numpy(x)[None])
+        data = whitened(predict(simulator, rows, plan, shifts))[0].nan_to_num(nan=_FAILED)
+        return np.concatenate((data.numpy(), x[len(gel) :]))
+
+    def slopes(x: Vector) -> Vector:
+        # a nuisance moves its own experiment alone, so that of all experiments is moved at once
+        everywhere = torch.block_diag(torch.eye(len(gel)), torch.eye(len(uncertain)).repeat(1, experiments)).double()
+        rows, shifts = place(torch.from_numpy(x) + _NUDGE * torch.cat((everywhere.new_zeros(1, len(x)), everywhere)))
+        radius = predict(simulator, rows[None], plan, shifts[None], bundled=True)[0]
+        moved = (radius[1:] - radius[0]) / _NUDGE
+        own = torch.eye(experiments, dtype=torch.float64)[:, None, :, None] * moved[len(gel) :]  # E x C x E x T
+        columns = whitened(curve + torch.cat((moved[: len(gel)], own.flatten(0, 1)))).nan_to_num()
+        priors = torch.eye(len(x), dtype=torch.float64)[:, len(gel) :]
+        return torch.cat((columns, priors), 1).mT.numpy()
+
+    farthest = np.where(np.arange(len(still)) < len(gel), _FARTHEST, np.inf)
+    begin = still if start is None else start.clip(-farthest, farthest)
+    found = least_squares(residual, begin, slopes, (-farthest, farthest), ftol=_TOLERANCE, max_nfev=_EVALUATIONS)
+    return math.sqrt(2.0 * found.cost), found.x

@@ -277,7 +277,7 @@ SHARES: tuple[tuple[str, Test, Test, Wanted], ...] = (
     ),
     (
         "onset phase right",
-        _kind("effect", lambda line: line.get("phase", "none") != "none", _has("onset_phase")),
+        lambda line: line.get("phase", "none") != "none" and _has("onset_phase")(line),
         lambda line: line["onset_phase"] == line["phase"],
         _at_least(_3x100=(0.80, 0.90)),
     ),
@@ -336,6 +336,11 @@ def amounts(lines: Sequence[Line]) -> list[Row]:
     figure = "held-out gap closed by the right effect"
     rows.append(quantile_row(f"{figure}, median", "3x10", closed, 0.5, Range(low=0.90), Range(low=0.95)))
     rows.append(quantile_row(f"{figure}, 10th percentile", "3x10", closed, 0.1, Range(low=0.75), Range(low=0.90)))
+    ahead = [line["truth_ahead"] for line in lines if line["kind"] == "withheld" and named(line) and _has("truth_ahead")(line)]
+    for words, level in (("median", 0.5), ("90th percentile", 0.9)):
+        rows.append(
+            quantile_row(f"nats by which a withheld effect beats the wrong name given to it, {words}", ALL, ahead, level)
+        )
     compared = [line["p_true"] for line in lines if line.get("p_true")]
     mean, error = _mean([p["chosen"] - p["random"] for p in compared])
     wanted = Range(low=0.05), Range(low=0.10)

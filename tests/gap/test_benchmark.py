@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -9,9 +10,9 @@ import torch
 from scipy.stats import binomtest
 
 from benchmarks.gap.__main__ import append, main, tasks
-from benchmarks.gap.run import frozen, run_task, thresholds
+from benchmarks.gap.run import Extras, frozen, run_task, thresholds
 from benchmarks.gap.sets import Task, choose, draw_designs, draw_effect, make_plan, make_set
-from benchmarks.gap.signals import signals
+from benchmarks.gap.signals import signal_by_phase, signals
 from benchmarks.gap.table import (
     Row,
     amounts,
@@ -31,8 +32,11 @@ from benchmarks.gap.table import (
 from imr_torch.design import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.gap import LIBRARY
+from imr_torch.gap.hypotheses import fit_null
+from imr_torch.gap.linear import linearise
 from imr_torch.gap.sets import NUISANCE
-from imr_torch.observe import ExperimentBatch
+from imr_torch.material import PARAMETERS, wide_prior
+from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import generator
 
 SMALL = ("wall", "rinf_bias")
@@ -114,10 +118,35 @@ def test_that_what_nuisances_take_back_does_not_show() -> None:
     """Rmax of all experiments off by 1 % is an effect, and is what errors of .3 % of each take back at 1/.3 sd each."""
     designs, gel, effect = draw_designs(3, generator(0)), {"G": 5e3, "mu": 0.1}, {"missed_maximum": 0.01}
     task, uncertain = (Task("effect", 3, 100, "polytropic", 0, nuisances=known) for known in (False, True))
-    shown = [signals(gel, [effect], make_plan(designs, t), t.simulator(), 100)[0] for t in (task, uncertain)]
-    assert shown[0][-1] > 20.0
-    assert 0.5 < shown[1][-1] <= 3.0**0.5 * 0.01 / NUISANCE.max_radius
-    assert all(late >= early - 0.05 for early, late in pairwise(shown[1]))
+    shown = [signals(gel, [effect], make_plan(designs, t), t.simulator())[0] for t in (task, uncertain)]
+    assert shown[0] > 20.0
+    assert 0.5 < shown[1] <= 3.0**0.5 * 0.01 / NUISANCE.max_radius
+
+
+def test_that_what_shows_of_an_effect_is_what_the_null_fit_leaves_of_its_curve() -> None:
+    """The benchmark's own refit against the diagnosis': a far-field pressure is all but taken back by another G."""
+    task, gel, effect = Task("effect", 3, 100, "polytropic", 0), {"G": 5e3, "mu": 0.1}, {"far_field_pressure": 0.02}
+    plan, simulator = make_plan(draw_designs(3, generator(1)), task), task.simulator()
+    shown = signals(gel, [effect], plan, simulator)[0]
+    curves = predict(simulator, PARAMETERS.pack(gel | effect)[None], plan)[0]
+    clean = ExperimentBatch(tuple(replace(e, radius=r.expand(100, -1)) for e, r in zip(plan.experiments, curves, strict=True)))
+    fit = fit_null(wide_prior(("nhkv",)).models[0], clean, simulator, seed=0)
+    assert fit.certificate.converged
+    left = float(linearise(fit, clean, simulator).residual.norm())  # weighed by the noise at the fit, not at the truth
+    assert shown == pytest.approx(left, rel=0.15)
+    by_phase = signal_by_phase(gel, effect, plan, simulator)
+    assert all(early <= late + 0.01 for early, late in pairwise(by_phase))
+    assert by_phase[-1] == pytest.approx(shown, rel=1e-3)
+
+
+def test_that_a_wrong_name_comes_with_what_the_truth_would_gain() -> None:
+    """Refraction, withheld, is named after its neighbour; offered, it explains these data no better."""
+    task = Task("withheld", 2, 4, "polytropic", 0, effects=("refraction", "missed_maximum"))
+    found = run_task(task, Extras(baselines=False))
+    assert (found["truth"], found["cause"]) == (["refraction"], ["missed_maximum"])
+    assert abs(found["truth_ahead"]) < 1.0
+    apart = run_task(replace(task, seed=2), Extras(baselines=False))
+    assert (apart["verdict"], "truth_ahead" in apart) == ("other", False)
 
 
 @pytest.fixture(scope="module")
