@@ -89,3 +89,12 @@ def test_that_other_says_what_came_nearest_only_if_that_explains_something(monke
     finding = selected(0.0)
     assert finding.verdict == "other"
     assert said in finding.reason
+
+
+def test_that_other_needs_a_certificate_of_what_came_nearest(monkeypatch) -> None:
+    found = attribution({"gas_loss": 0.96, "none": 0.0, "other": 0.04}, "gas_loss", p_adequate=1e-6, converged=False)
+    monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
+    monkeypatch.setattr(module, "laplace_evidence", lambda fit: 0.0 if fit is None else 40.0)
+    finding = selected(0.0)
+    assert (finding.verdict, finding.cause) == ("undecided", ())
+    assert "the fit with gas_loss did not converge" in finding.reason
