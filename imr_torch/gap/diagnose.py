@@ -191,8 +191,8 @@ def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed
     nearest, explained = " and ".join(effect.name for effect in chosen), laplace_evidence(fit) - laplace_evidence(null)
     if not fit.certificate.converged:
         reason = (
-            f"No effect of the library was found to be enough, but the fit with {nearest} did not converge ({explained:.0f} nats "
-            f"better than the base; adequacy p = {test.p_value:.2g}); what is left may be its doing."
+            f"No effect of the library was found to be enough, but the fit with {nearest} did not converge "
+            f"({explained:.0f} nats better than the base; adequacy p = {test.p_value:.2g}); what is left may be its doing."
         )
         return _Finding("undecided", (), reason, first, test.p_value)
     if explained < _FURTHER:
