@@ -10,7 +10,7 @@ from torch import Tensor
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
 from imr_torch.observe import ExperimentBatch
 
-SIDE = 1e-5  # prior standard deviations by which nuisances are moved for their sensitivity; posterior ones may be 50 x less
+SIDE = 1e-6  # prior standard deviations by which nuisances are moved for their sensitivity; posterior ones may be 50 x less
 
 
 def joint_cost(batch: ExperimentBatch, gel: Tensor, nuisances: Tensor, prediction: Tensor) -> Tensor:

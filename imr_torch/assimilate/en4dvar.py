@@ -93,6 +93,13 @@ def assimilate(
 
 
 def _run(search: Search, race: Race, progress: Progress | None) -> None:
+    """Iterate until all chains rest or their time is over; those that crawl are polished then, and have it once more."""
+    _iterate(search, race, progress)
+    if search.polish():
+        _iterate(search, race, progress)
+
+
+def _iterate(search: Search, race: Race, progress: Progress | None) -> None:
     """Iterate until all chains rest or their time is over."""
     for iteration in range(search.options.iterations):
         if bool(search.finished.all()):

@@ -15,7 +15,8 @@ class EnsembleOptions:
         scouts: prior draws from which the starts are chosen.
         starts: independent searches per model; two or more, so that they can agree.
         iterations: most Gauss-Newton iterations.
-        spread: size of the ensemble in posterior standard deviations.
+        spread: size of the ensemble in posterior standard deviations; differences on one side err by it times the curvature
+            of the curves and their misfit, which may be tens of sd.
         gradient: tolerance of the whitened gradient; 1e-3 leaves 5e-7 nats.
         agreement: tolerance of the cost difference between the two best starts, nats.
         hopeless: a start rests, unconverged, once its cost less what its gradient promises is worse than the best cost of
@@ -32,7 +33,7 @@ class EnsembleOptions:
     scouts: int = 192
     starts: int = 3
     iterations: int = 60
-    spread: float = 1e-4
+    spread: float = 1e-6
     gradient: float = 1e-3
     agreement: float = 0.1
     hopeless: float | None = None

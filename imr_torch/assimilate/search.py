@@ -15,6 +15,7 @@ from dataclasses import fields
 import torch
 from torch import Tensor
 
+from imr_torch.assimilate import polish
 from imr_torch.assimilate.blunt import Blunt
 from imr_torch.assimilate.cost import equations_at, joint_cost, sides
 from imr_torch.assimilate.fit import Certificate, ModelFit
@@ -228,6 +229,20 @@ class Search:
                 self._forget(torch.tensor([chain]))
                 self.led[chain] = True
                 self.leader_gel[chain], self.leader_nuisances[chain] = self.leader_gel[first], self.leader_nuisances[first]
+
+    def polish(self) -> bool:
+        """Take the best two chains of each model that are still on their way to a minimum by other steps; whether any are.
+
+        Those of a model that the best has left behind stay where they are.
+        """
+        reach = math.inf if self.options.hopeless is None else self.options.hopeless
+        crawling = ~self.finished & ~self.bluntly & (self.gradient > polish.NEAR) & (self.cost < self.cost.min() + reach)
+        each = (torch.nonzero(crawling & (self.model == model))[:, 0] for model in range(len(self.belief.models)))
+        chains = torch.cat([rows[torch.argsort(self.cost[rows])][:2] for rows in each])
+        if chains.numel():
+            points = self.model[chains], self.gel[chains], self.nuisances[chains]
+            self.send(chains, *polish.polish(self.problem, *points, self.options.spread))
+        return bool(chains.numel())
 
     def send(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> None:
         """Set chains out anew: ``C x size`` controls of the gel, ``E x 3`` or ``C x E x 3`` nuisances."""

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import EnsembleOptions, ModelFit
 from imr_torch.gap.effects import Effect
-from imr_torch.gap.hypotheses import SPREAD, Hypothesis, finish, fit_hypotheses, laplace_evidence
+from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence
 from imr_torch.gap.linear import Linearisation, linearise
 from imr_torch.gap.refitted import refitted_directions
 from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_blocks, promising_starts
@@ -37,7 +37,7 @@ chance once in twenty. In the sets tried, two of four adequate wrong winners lay
 _MASKED = 0.35  # chance that some effect of the library is adequate although the true one is not in it
 _MASKED_BY_TWO = 0.14  # that two are together, where none is alone: five of 35 withheld effects
 _LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
-_FIT = EnsembleOptions(starts=2, iterations=30, spread=SPREAD, hopeless=6.0, descents=0)  # from the null fit's nuisances
+_FIT = EnsembleOptions(starts=2, iterations=30, hopeless=6.0, descents=0)  # from the null fit's nuisances
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,6 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import PolytropicSimulator, Simulator
 from imr_torch.types import Progress
 
-SPREAD = 1e-5
-"""Of ensembles: differences on one side err by curvature times residual, and a gap may leave residuals of many sd."""
-
 _ROUGH = EnsembleOptions(gradient=1e-2, starts=2)
 _MANY = 6  # starts where fewer disagree
 _APART = 0.3  # prior standard deviations between the starts of the null fit
@@ -105,7 +102,7 @@ def fit_null(
     if fit.certificate.converged or fit.certificate.gradient >= enough:
         return fit
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
-    many, own = EnsembleOptions(spread=SPREAD, starts=_MANY), child(seed, "again")
+    many, own = EnsembleOptions(starts=_MANY), child(seed, "again")
     again = assimilate(belief, batch, simulator, seed=own, options=many, warn=False, progress=progress).fits[0]
     return _lower(fit, again, many)
 
@@ -129,14 +126,14 @@ def _search_null(
     """The best fit of the starts, converged or not."""
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
     search = partial(assimilate, belief, batch, simulator, seed=seed, warn=False, progress=progress)
-    scouted = EnsembleOptions(spread=SPREAD)
+    scouted = EnsembleOptions()
     if isinstance(getattr(simulator, "simulator", simulator), PolytropicSimulator) or int(batch.counts.max()) == 1:
         return search(options=scouted).fits[0]
     cheap = PolytropicSimulator(simulator.conditions)
     rough = assimilate(belief, batch, cheap, seed=seed, options=_ROUGH, warn=False).fits[0]
     spread = _APART * torch.randn(2, len(rough.mean), generator=generator(child(seed, "null")), dtype=torch.float64)
     starts = torch.cat((rough.mean[None], rough.mean + spread))
-    options = EnsembleOptions(spread=SPREAD, blunt=True)  # the polytropic collapse may be on another side of a frame
+    options = EnsembleOptions(blunt=True)  # the polytropic collapse may be on another side of a frame
     fit = search(starts=[starts], options=options).fits[0]
     if fit.certificate.converged:
         return fit
@@ -193,7 +190,7 @@ def finish(
 
     A start beside it may end in another valley. The certificate then is that of the starts before, if they were all but there.
     """
-    options = EnsembleOptions(starts=2, spread=SPREAD)
+    options = EnsembleOptions(starts=2)
     near = as_assimilation(fit, batch)
     found = assimilate(near.prior, batch, simulator, seed=seed, options=options, near=near, warn=False, progress=progress)
     ended = found.fits[0]

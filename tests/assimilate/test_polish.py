@@ -1,0 +1,80 @@
+"""The way down where Gauss-Newton crawls: to the minimum that is known, for gel and nuisances, and only where it is needed."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import EnsembleOptions, assimilate, polish
+from imr_torch.assimilate.problem import Problem
+from imr_torch.assimilate.search import Search
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
+from imr_torch.simulate import Solution
+from tests.linear import MEANS, SDS, LinearSimulator, experiments, prior, tensor
+
+NOISE = Noise(floor=0.002, slope=0.0, drift=0.0)
+TIMES = torch.linspace(0.0, 3.0, 24, dtype=torch.float64)
+TURN, NEARLY_CENTRAL = 1.2, 0.02
+STARTS = tensor((0.5, 0.3), (-0.5, 2.2))
+
+
+class Circle(LinearSimulator):
+    """The control of ``mu`` leads the curve along a circle; data near its centre bend the cost as much as they slope it.
+
+    With data at a share ``s`` of the circle's radius the curvature is ``s`` times Gauss and Newton's, so each of their steps
+    goes only that share of the way.
+    """
+
+    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        made = super().__call__(parameters, designs, times)
+        stiff, turn = ((parameters[..., PARAMETERS.index([n])[0], None] - MEANS[n]) / SDS[n] for n in ("G", "mu"))
+        phase = 2.0 * math.pi * torch.arange(times.shape[-1]) / 12
+        radius = 0.6 + 0.3 * times + 0.1 * torch.cos(phase - turn) + 0.02 * stiff * torch.cos(2 * phase)
+        return replace(made, radius=torch.where(made.radius.isfinite(), radius, torch.nan))
+
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        return self(parameters, designs, times)
+
+
+def nearly_central(nuisance: Nuisance | None = None) -> ExperimentBatch:
+    phase = 2.0 * math.pi * torch.arange(len(TIMES)) / 12
+    radius = 0.6 + 0.3 * TIMES + NEARLY_CENTRAL * 0.1 * torch.cos(phase - TURN)
+    return ExperimentBatch((Experiment("e", (300.0, 0.2), TIMES, radius[None], nuisance or Nuisance()),), NOISE)
+
+
+def fitted(batch: ExperimentBatch):
+    belief = prior(("nhkv",))
+    return assimilate(belief, batch, Circle(), seed=1, options=EnsembleOptions(scouts=24), starts=[STARTS], warn=False).fits[0]
+
+
+@pytest.mark.parametrize("nuisance", [None, Nuisance(time_zero=0.05)], ids=["certain", "uncertain"])
+def test_that_a_crawling_fit_arrives_and_would_not_alone(monkeypatch, nuisance: Nuisance | None) -> None:
+    batch = nearly_central(nuisance)
+    arrived = fitted(batch)
+    assert arrived.certificate.converged
+    assert float(arrived.mean[1]) == pytest.approx(TURN, abs=0.05)  # the prior pulls
+    monkeypatch.setattr(Search, "polish", lambda _: False)
+    alone = fitted(batch)
+    assert not alone.certificate.converged
+    assert alone.cost > arrived.cost + 1.0
+
+
+def test_that_a_fit_that_arrives_by_itself_is_left_alone(monkeypatch) -> None:
+    monkeypatch.setattr(polish, "polish", lambda *_: pytest.fail("polished"))
+    found = assimilate(prior(), experiments(3), LinearSimulator(), seed=1, options=EnsembleOptions(scouts=24))
+    assert found.converged
+
+
+def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
+    """The way to the minimum is barred at nearly half of it; the point ends on this side, lower than it began."""
+    batch = nearly_central()
+    barred = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
+    problem = Problem(prior(("nhkv",)), batch, barred)
+    model, gel, nuisances = torch.zeros(1, dtype=torch.long), STARTS[:1], torch.zeros(1, 1, 3, dtype=torch.float64)
+    ended = polish.polish(problem, model, gel, nuisances, 1e-6)
+    costs = [float(problem.cost(model, *point)) for point in ((gel, nuisances), ended)]
+    assert costs[1] < costs[0] < math.inf
+    assert 0.5 < float(ended[0][0, 1]) < 0.8
