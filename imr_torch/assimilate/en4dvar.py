@@ -95,7 +95,7 @@ def assimilate(
 def _run(search: Search, race: Race, progress: Progress | None) -> None:
     """Iterate until all chains rest or their time is over; those that crawl are polished then, and have it once more."""
     _iterate(search, race, progress)
-    if search.polish():
+    if search.options.polish and search.polish():
         _iterate(search, race, progress)
 
 

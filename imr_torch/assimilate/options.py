@@ -27,6 +27,8 @@ class EnsembleOptions:
             (:mod:`imr_torch.assimilate.valleys`); with 0 nobody looks, as where nuisances begin at a fit whose valleys were.
         blunt: whether chains leave the frames next to collapses out until they are near a minimum
             (:mod:`imr_torch.assimilate.blunt`); when not given, those that set out from scouts do.
+        polish: whether the best chains that still crawl after all iterations are taken to their minimum by other steps, and
+            iterated once more (:mod:`imr_torch.assimilate.polish`).
     """
 
     members: int | None = None
@@ -39,6 +41,7 @@ class EnsembleOptions:
     hopeless: float | None = None
     descents: int = 3
     blunt: bool | None = None
+    polish: bool = True
 
     def __post_init__(self) -> None:
         if self.members is not None and (self.members < 2 or self.members % 2):

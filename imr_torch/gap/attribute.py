@@ -37,7 +37,7 @@ chance once in twenty. In the sets tried, two of four adequate wrong winners lay
 _MASKED = 0.35  # chance that some effect of the library is adequate although the true one is not in it
 _MASKED_BY_TWO = 0.14  # that two are together, where none is alone: five of 35 withheld effects
 _LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
-_FIT = EnsembleOptions(starts=2, iterations=30, hopeless=6.0, descents=0)  # from the null fit's nuisances
+_FIT = EnsembleOptions(starts=2, iterations=30, hopeless=6.0, descents=0, polish=False)  # the winner's is finished later
 
 
 @dataclass(frozen=True)
