@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Tensor
 
-from imr_torch.observe import Experiment, ExperimentBatch, collapse_time
+from imr_torch.observe import ExperimentBatch, collapse_time
 
 
 class Blunt:
@@ -26,11 +26,7 @@ class Blunt:
 
     def __init__(self, batch: ExperimentBatch) -> None:
         kept = [away_from_collapses(e.times, e.mean) for e in batch.experiments]
-        parts = [
-            Experiment(e.label, e.design, e.times[k], e.radius[:, k], e.nuisance)
-            for e, k in zip(batch.experiments, kept, strict=True)
-        ]
-        self.batch = ExperimentBatch(tuple(parts), batch.noise)
+        self.batch = ExperimentBatch(tuple(e.at(k) for e, k in zip(batch.experiments, kept, strict=True)), batch.noise)
         self.of_use = not all(bool(k.all()) for k in kept)
         self._frames = torch.nn.utils.rnn.pad_sequence([torch.nonzero(k)[:, 0] for k in kept], batch_first=True)
 

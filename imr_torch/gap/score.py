@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from scipy.stats import chi2, ncx2
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -239,8 +240,6 @@ def _power(size: float, rank: int, level: float) -> float:
     """Chance that a block of this size in sd is found at a level: normal approximation of noncentral chi-square."""
     if math.isnan(size):
         return math.nan
-    from scipy.stats import chi2, ncx2
-
     return float(ncx2.sf(chi2.isf(level, rank), rank, size**2))
 
 

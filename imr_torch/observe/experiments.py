@@ -6,7 +6,7 @@ number of frames, so that any number of experiments is one tensor; :func:`predic
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import torch
@@ -86,8 +86,11 @@ class Experiment:
 
     def until(self, last: float) -> "Experiment":
         """The experiment cut off after the dimensionless time ``last``."""
-        keep = self.times <= last
-        return Experiment(self.label, self.design, self.times[keep], self.radius[:, keep], self.nuisance)
+        return self.at(self.times <= last)
+
+    def at(self, frames: Tensor) -> "Experiment":
+        """The experiment at some of its frames (``n_t`` boolean tensor)."""
+        return replace(self, times=self.times[frames], radius=self.radius[:, frames])
 
 
 @dataclass(frozen=True)
