@@ -14,6 +14,23 @@ from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import ExperimentBatch
 
+PROMISED = 2.0
+"""Times the square of its gradient (in posterior standard deviations) that the cost of a start may still fall, nats: four times
+what a Gauss-Newton step promises."""
+
+ALL_BUT = 0.1
+"""Posterior standard deviations from a minimum, and nats between starts, at which it is all but found: a hundredth of a nat is
+left to gain."""
+
+ONE_MINIMUM = 0.5
+"""Nats within which fits are of one minimum: each solve's own steps make some .3 of it where single curves are sharp."""
+
+_SAME = 0.05  # nats between Gaussians: a mean a third of an sd off, or an sd 20 % off
+_CLOUD = 64  # draws by which a belief that bends is handed on
+_OUT = 20.0  # nats by which a model whose minimum is all but found is out of the running
+_FAR_OUT = 100.0  # the same where it is not, beyond what it may still fall
+_AGAIN = 0.1  # the same between two rounds, each with its error
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -33,6 +50,11 @@ class Certificate:
     failed_members: float
     converged: bool
 
+    @property
+    def all_but_found(self) -> bool:
+        """Whether no more than a hundredth of a nat is left to gain, whatever the last digits do."""
+        return self.gradient < ALL_BUT and self.agreement < ALL_BUT
+
     def __str__(self) -> str:
         word = "converged" if self.converged else "NOT CONVERGED"
         return (
@@ -48,24 +70,6 @@ class Verdict(Enum):
     TRUSTED = "trusted"
     REPAIRED = "repaired"
     REFUSED = "NOT TO BE TRUSTED"
-
-
-PROMISED = 2.0
-"""Times the square of its gradient (in posterior standard deviations) that the cost of a start may still fall, nats: four times
-what a Gauss-Newton step promises."""
-
-ALL_BUT = 0.1
-"""Posterior standard deviations from a minimum, and nats between starts, at which it is all but found: a hundredth of a nat is
-left to gain."""
-
-ONE_MINIMUM = 0.5
-"""Nats within which fits are of one minimum: each solve's own steps make some .3 of it where single curves are sharp."""
-
-_SAME = 0.05  # nats between Gaussians: a mean a third of an sd off, or an sd 20 % off
-_CLOUD = 64  # draws by which a belief that bends is handed on
-_OUT = 20.0  # nats by which a model whose minimum is all but found is out of the running
-_FAR_OUT = 100.0  # the same where it is not, beyond what it may still fall
-_AGAIN = 0.1  # the same between two rounds, each with its error
 
 
 @dataclass(frozen=True)
@@ -98,9 +102,9 @@ class ModelFit:
 
     def out_of_the_running(self, best: float) -> bool:
         """Whether the model cannot come near ``best``, the cost of another, nats, however much further it were fitted."""
-        gradient = self.certificate.gradient
-        found = gradient < ALL_BUT and self.certificate.agreement < ALL_BUT
-        return self.cost > best + _OUT if found else self.cost - PROMISED * gradient**2 > best + _FAR_OUT
+        if self.certificate.all_but_found:
+            return self.cost > best + _OUT
+        return self.cost - PROMISED * self.certificate.gradient**2 > best + _FAR_OUT
 
     @property
     def model(self) -> str:
