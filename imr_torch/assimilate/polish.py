@@ -74,7 +74,7 @@ class _Whitened:
         model: of the point.
         gel: ``size`` tensor, the point's controls; its bubbles lead those of all others.
         nuisances: ``E x 3`` tensor.
-        anomalies: ``size x size`` tensor, by which columns the gel is moved for differences.
+        anomalies: ``size x size`` tensor, whose columns move the gel for differences.
     """
 
     def __init__(self, problem: Problem, model: Tensor, gel: Tensor, nuisances: Tensor, anomalies: Tensor) -> None:
