@@ -189,7 +189,7 @@ def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed
         return _name(chosen, found, families)
     assert first is not None
     nearest, explained = " and ".join(effect.name for effect in chosen), laplace_evidence(fit) - laplace_evidence(null)
-    if not fit.certificate.all_but_found:  # further digits would not make it adequate
+    if not fit.certificate.all_but_found:  # one that is needs no further digits: they could not make it adequate
         reason = (
             f"No effect of the library was found to be enough, but the fit with {nearest} did not converge "
             f"({explained:.0f} nats better than the base; adequacy p = {test.p_value:.2g}); what is left may be its doing."

@@ -121,6 +121,8 @@ def test_that_what_nuisances_take_back_does_not_show() -> None:
     shown = [signals(gel, [effect], make_plan(designs, t), t.simulator())[0] for t in (task, uncertain)]
     assert shown[0] > 20.0
     assert 0.5 < shown[1] <= 3.0**0.5 * 0.01 / NUISANCE.max_radius
+    by_phase = signal_by_phase(gel, effect, make_plan(designs, uncertain), uncertain.simulator())
+    assert all(late >= early - 0.05 for early, late in pairwise(by_phase))
 
 
 def test_that_what_shows_of_an_effect_is_what_the_null_fit_leaves_of_its_curve() -> None:
