@@ -39,3 +39,7 @@ class ConvergenceWarning(ImrWarning):
 
 class PrecisionWarning(ImrWarning):
     """The number format is too short for inference (float32)."""
+
+
+class EngineWarning(ImrWarning):
+    """Another engine computed a result than the one that was asked for; the answer is the same, and came slower."""

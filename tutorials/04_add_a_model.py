@@ -1,31 +1,30 @@
 # %% [markdown]
 # # Add a model
-# Your gel obeys none of the laws that ship with the toolkit? Write yours in one file, as here: parameters, a stress term,
-# a model. Nothing else changes; both simulators, the fit, the evidence and the design of experiments take it by its name.
+# Your gel obeys none of the laws that ship with the toolkit? Write yours in one file, as here: parameters, a law, a model.
+# Nothing else changes; both simulators and both engines, the fit, the evidence and the design of experiments take it by its
+# name. Inside the project it is the same file, put into `imr_torch/material/`, and its test: whatever lies there is imported.
 
 # %%
 import os
-from collections.abc import Mapping
-from typing import ClassVar
 
 import torch
 from scipy.integrate import quad
-from torch import Tensor
 
 from imr_torch.assimilate import EnsembleOptions, assimilate, weigh
+from imr_torch.elementary import Scalar
 from imr_torch.material import (
     PARAMETERS,
-    Belief,
     LogNormal,
     Material,
     Parameter,
-    Stress,
-    automatic_slopes,
+    StressTerm,
+    derivatives,
     register,
     register_term,
+    wide_prior,
 )
-from imr_torch.material.elastic import NeoHookeanElasticity
-from imr_torch.material.viscous import NewtonianViscosity
+from imr_torch.material.elastic import NEO_HOOKEAN, neo_hookean
+from imr_torch.material.viscous import NEWTONIAN
 from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
 from imr_torch.select import evidences, update
 from imr_torch.simulate import ACCURACIES, PolytropicSimulator, TransportSimulator
@@ -42,36 +41,38 @@ SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 # $S = -G_2\,(2l - 1 - l^{-2})$ with $l = R/R_\infty$.
 #
 # ## A parameter
-# Its name, its unit, how it is made dimensionless, its bounds, and the value at which it does nothing.
+# Its name, its unit, how it is made dimensionless, its bounds, the value at which it does nothing, and what is believed of it
+# when nothing is known.
 
 # %%
-PARAMETERS.register(Parameter("G_mooney", "second Mooney-Rivlin modulus", "Pa", "pressure", 0.0, 1e6, 0.0, 1e-3, "kPa"))
+PARAMETERS.register(
+    Parameter(
+        "G_mooney", "second Mooney-Rivlin modulus", "Pa", "pressure", 0.0, 1e6, 0.0, 1e-3, "kPa", prior=LogNormal(1e3, 3.0)
+    )
+)
 
 
 # %% [markdown]
-# ## A stress term
-# It gets radius, velocity, rest radius and all parameters, dimensionless, for a whole batch at once. It returns $S$, the part
-# of $dS/dt$ that is known from the state, and the factor of $dU/dt$ (none in an elastic gel). `switch` names the parameter
-# that turns it off: where that is zero in a whole batch, the term is not even looked at. The solver needs derivatives too;
-# they are found automatically, fast if the term says that it is analytic (no `abs`, no comparisons).
+# ## A law
+# A plain function of scalars: radius, velocity, rest radius, and by their names the parameters that it reads, all
+# dimensionless. It returns $S$, the part of $dS/dt$ that is known from the state, and the factor of $dU/dt$ (none in an elastic
+# gel). The same source is called with tensors and compiled for numbers, and the derivatives that the solver needs are taken
+# through it; so it is written with arithmetic and the functions of `imr_torch.elementary` (`exp`, `sqrt`, `where` ...). A law
+# that needs other functions of torch may use them: it then runs on tensors only, and the toolkit says so once.
+#
+# `switch` names the parameter that turns the term off: where that is zero, the law is not called.
 
 
 # %%
-class MooneyElasticity:
+def mooney(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_mooney: Scalar) -> tuple[Scalar, ...]:
     """``S = -G_2 (2 l - 1 - 1/l^2)`` with ``l = R/R_inf``."""
-
-    names: ClassVar[tuple[str, ...]] = ("G_mooney",)
-    switch: ClassVar[str] = "G_mooney"
-    analytic: ClassVar[bool] = True
-
-    def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
-        stretch = radius / rest_radius
-        value = -theta["G_mooney"] * (2.0 * stretch - 1.0 - stretch**-2)
-        slope = -2.0 * theta["G_mooney"] * (stretch + stretch**-2)  # dS/d ln l
-        return Stress(value, slope * velocity / radius, torch.zeros_like(value))
+    stretch, inverse = radius / rest_radius, rest_radius / radius
+    value = -G_mooney * (2.0 * stretch - 1.0 - inverse * inverse)
+    slope = -2.0 * G_mooney * (stretch + inverse * inverse)  # dS/d ln l
+    return value, slope * velocity / radius, 0.0
 
 
-register_term(MooneyElasticity())
+MOONEY = register_term(StressTerm(mooney, switch="G_mooney"))
 
 
 # %% [markdown]
@@ -85,11 +86,10 @@ class MooneyRivlin(Material):
 
     key, title = "mooney", "Mooney-Rivlin KV"
     reference = "Mooney, J. Appl. Phys. 11 (1940)"
-    terms = (NewtonianViscosity(), NeoHookeanElasticity(), MooneyElasticity())
+    terms = (NEWTONIAN, NEO_HOOKEAN, MOONEY)
 
 
-mooney = register(MooneyRivlin())
-print(mooney, "| free:", mooney.free)
+print(register(MooneyRivlin()))
 
 # %% [markdown]
 # ## Check it
@@ -99,54 +99,43 @@ print(mooney, "| free:", mooney.free)
 one = torch.tensor([0.7, 0.3, 0.1], dtype=torch.float64)
 theta = {"G_mooney": torch.tensor(1.0, dtype=torch.float64)}
 rest, velocity = torch.full_like(one, 0.25), torch.tensor([-1.0, 2.0, -5.0], dtype=torch.float64)
-stress = MooneyElasticity()(one, velocity, rest, theta)
+stress = MOONEY(one, velocity, rest, theta)
 for stretch, value in zip((one / rest).tolist(), stress.value.tolist(), strict=True):
     expected = -quad(lambda b: 0.5 * (4.0 * b**3 - 4.0 * b**-3) / (b**3 - 1.0), 1.0, stretch)[0]
     print(f"l = {stretch:.2f}: S = {value:+.6f}, by quadrature {expected:+.6f}")
     assert abs(value - expected) < 1e-9
-slopes = automatic_slopes(MooneyElasticity(), one, velocity, rest, theta)
-assert torch.allclose(stress.rate, slopes.radius.value * velocity)
+(by_radius,) = derivatives(lambda radius: MOONEY(radius, velocity, rest, theta).value, (one,), analytic=MOONEY.compilable)
+assert torch.allclose(stress.rate, by_radius * velocity)
 
 # %% [markdown]
 # ## A gel that remembers
-# A term with memory carries states with a rate of their own. Here a stiff spring in series with a dashpot: the stress $Z$ of
-# the spring grows as fast as that of a neo-Hookean one would and fades with the time $\tau_f$,
-# $\dot Z = \dot S_\mathrm{spring} - Z/\tau_f$. The time has no value at which it does nothing; the modulus is the switch.
+# A law with memory takes its states after the rest radius and returns their rates after the three numbers. Here a stiff spring
+# in series with a dashpot: the stress $Z$ of the spring grows as fast as that of a neo-Hookean one would and fades with the
+# time $\tau_f$, $\dot Z = \dot S_\mathrm{spring} - Z/\tau_f$. The time has no value at which it does nothing; the modulus is
+# the switch. `fastest` is the rate that explicit solvers must resolve.
 
 # %%
-PARAMETERS.register(Parameter("G_fast", "modulus that fades", "Pa", "pressure", 0.0, 1e7, 0.0, 1e-3, "kPa"))
-PARAMETERS.register(Parameter("tau_fast", "time in which it fades", "s", "time", 1e-9, 1.0, 1e-5, 1e6, "us"))
+PARAMETERS.register(
+    Parameter("G_fast", "modulus that fades", "Pa", "pressure", 0.0, 1e7, 0.0, 1e-3, "kPa", prior=LogNormal(1e4, 5.0))
+)
+PARAMETERS.register(
+    Parameter("tau_fast", "time in which it fades", "s", "time", 1e-9, 1.0, 1e-5, 1e6, "us", prior=LogNormal(1e-5, 5.0))
+)
 
 
-class FadingSpring:
+def fading_spring(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, held: Scalar, G_fast: Scalar, tau_fast: Scalar
+) -> tuple[Scalar, ...]:
     """``Z' = dS_e/dt - Z/De`` with the neo-Hookean ``S_e`` of the modulus ``G_fast``; ``S = Z``."""
-
-    names: ClassVar[tuple[str, ...]] = ("G_fast", "tau_fast")
-    switch: ClassVar[str] = "G_fast"
-    states: ClassVar[int] = 1
-    analytic: ClassVar[bool] = True
-
-    def __call__(
-        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor
-    ) -> Stress:
-        rate = self.memory_rate(radius, velocity, rest_radius, theta, memory)
-        return Stress(memory[0], rate[0], torch.zeros_like(memory[0]))
-
-    def start(self, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Tensor:
-        """Faded: the bubble lingers at its maximum."""
-        return torch.zeros_like(rest_radius)[None]
-
-    def memory_rate(
-        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor
-    ) -> Tensor:
-        spring = NeoHookeanElasticity()(radius, velocity, rest_radius, {"G": theta["G_fast"]})
-        return spring.rate - memory / theta["tau_fast"]
-
-    def fastest(self, theta: Mapping[str, Tensor]) -> Tensor:
-        return 1.0 / theta["tau_fast"]
+    change = neo_hookean(radius, velocity, rest_radius, G_fast)[1] - held / tau_fast
+    return held, change, 0.0, change
 
 
-register_term(FadingSpring())
+def fastest(G_fast: Scalar, tau_fast: Scalar) -> Scalar:
+    return 1.0 / tau_fast
+
+
+FADING_SPRING = register_term(StressTerm(fading_spring, switch="G_fast", states=1, fastest=fastest))
 
 
 class FadingSolid(Material):
@@ -154,14 +143,15 @@ class FadingSolid(Material):
 
     key, title = "fading", "Fading NHKV"
     reference = "this tutorial (2025)"
-    terms = (NewtonianViscosity(), NeoHookeanElasticity(), FadingSpring())
+    terms = (NEWTONIAN, NEO_HOOKEAN, FADING_SPRING)
 
 
 register(FadingSolid())
 
 # %% [markdown]
 # ## Simulate
-# Both models, and NHKV beside them, in one batch of either simulator.
+# Both models, and NHKV beside them, in one batch of either simulator. The engine is compiled anew with the new laws, which
+# takes a minute the first time.
 
 # %%
 base = {"G": 3000.0, "mu": 0.1}
@@ -184,8 +174,7 @@ for simulator in (PolytropicSimulator(), TransportSimulator(accuracy=ACCURACIES[
 quick = PolytropicSimulator()
 laboratory = SimulatedLaboratory(quick, gels[1], repeats=100)
 batch = ExperimentBatch((laboratory.shoot(design, seed=1),), laboratory.noise)
-common = {"G": LogNormal(3e3, 3.0), "mu": LogNormal(0.1, 3.0)}
-prior = Belief.prior({"nhkv": common, "mooney": common | {"G_mooney": LogNormal(1e3, 3.0)}})
+prior = wide_prior(["nhkv", "mooney"])
 options = EnsembleOptions(members=8, scouts=32, starts=2) if SMOKE else None
 result = weigh(assimilate(prior, batch, quick, seed=2, options=options), quick, seed=3)
 posterior = update(result, evidences(result))

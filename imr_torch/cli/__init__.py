@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import torch
 
 from imr_torch.cli import campaign, characterize, design, diagnose, simulate
+from imr_torch.cli.common import add_engine_arguments
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError
 
 COMMANDS = (simulate, characterize, design, campaign, diagnose)
@@ -35,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
         module.add_arguments(sub)
         sub.add_argument("--seed", type=int, default=0, help="seed of everything random (default 0)")
         sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
-        sub.add_argument("--threads", type=int, default=1, help="processor threads (default 1, usually fastest)")
+        add_engine_arguments(sub)
         sub.add_argument("--quiet", action="store_true", help="no progress on the terminal")
         sub.set_defaults(run=module.run)
     return top
@@ -44,7 +45,7 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     args = parser().parse_args(argv)
-    torch.set_num_threads(max(1, args.threads))
+    torch.set_num_threads(1)  # of tensor operators, which are small here; the engine has threads of its own
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the certificate is printed with the result

@@ -3,6 +3,7 @@
 import argparse
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,19 @@ from matplotlib.axes import Axes
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
-from imr_torch.simulate import ACCURACIES, ParallelSimulator, PolytropicSimulator, Simulator, TransportSimulator, process_pool
+from imr_torch.simulate import (
+    ACCURACIES,
+    ENGINES,
+    ParallelSimulator,
+    PolytropicSimulator,
+    Simulator,
+    TransportSimulator,
+    process_pool,
+)
 from imr_torch.types import Progress
 
-SIMULATORS: dict[str, Simulator] = {
+AnySimulator = PolytropicSimulator | TransportSimulator
+SIMULATORS: dict[str, AnySimulator] = {
     "polytropic": PolytropicSimulator(),
     "transport": TransportSimulator(accuracy=ACCURACIES["search"]),
 }
@@ -52,6 +62,26 @@ def add_physics_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_engine_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options that choose the engine and its threads."""
+    parser.add_argument(
+        "--engine",
+        choices=ENGINES,
+        default="compiled",
+        help="what integrates the bubbles: compiled code (default), or tensors through torchdiffeq; same results, slower",
+    )
+    parser.add_argument(
+        "--threads", type=int, metavar="N", help="processor threads of the compiled engine (default: all cores)"
+    )
+
+
+def with_engine(simulator: AnySimulator, args: argparse.Namespace) -> AnySimulator:
+    """A simulator with the engine and threads that the options name."""
+    if args.threads is not None and args.threads < 1:
+        raise InputDataError(f"--threads is {args.threads}; expected at least 1.")
+    return replace(simulator, engine=args.engine, threads=args.threads)
+
+
 def add_workers_argument(parser: argparse.ArgumentParser) -> None:
     """The option that spreads large batches over processes; the batches of one model's fit are too small to gain by it."""
     parser.add_argument("--workers", type=int, default=1, help="processes that share large batches (default 1)")
@@ -59,7 +89,7 @@ def add_workers_argument(parser: argparse.ArgumentParser) -> None:
 
 def simulator_of(args: argparse.Namespace, *, chunk: int = _CHUNK) -> Simulator:
     """The simulator that ``--physics`` names, on as many processes as ``--workers`` says; ``chunk`` bubbles to one at most."""
-    simulator, workers = SIMULATORS[args.physics], getattr(args, "workers", 1)
+    simulator, workers = with_engine(SIMULATORS[args.physics], args), getattr(args, "workers", 1)
     if workers < 1:
         raise InputDataError(f"--workers is {workers}; expected at least 1.")
     return simulator if workers == 1 else ParallelSimulator(simulator, partial(process_pool, workers), chunk=chunk)

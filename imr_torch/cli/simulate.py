@@ -11,13 +11,13 @@ from pathlib import Path
 
 import torch
 
-from imr_torch.cli.common import add_physics_argument, parse_values, save_figure, write_result
+from imr_torch.cli.common import AnySimulator, add_physics_argument, parse_values, save_figure, with_engine, write_result
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.material import MATERIALS, PARAMETERS, material
 from imr_torch.plot import plot_solution
-from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, Simulator, TransportSimulator
+from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, TransportSimulator
 
-SIMULATORS: dict[tuple[str, str], Simulator] = {
+SIMULATORS: dict[tuple[str, str], AnySimulator] = {
     **{("polytropic", name): PolytropicSimulator(stepping=stepping) for name, stepping in STEPPINGS.items()},
     **{("transport", name): TransportSimulator(accuracy=accuracy) for name, accuracy in ACCURACIES.items()},
 }
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> None:
         raise InputDataError(f"--set: model {kind.key!r} has the parameters {', '.join(kind.names)}; got {', '.join(values)}.")
     if args.frames < 2 or not args.until > 0:
         raise InputDataError(f"--frames is {args.frames} and --until {args.until}; expected at least 2 and above 0.")
-    simulator = SIMULATORS[args.physics, args.accuracy]
+    simulator = with_engine(SIMULATORS[args.physics, args.accuracy], args)
     surroundings = simulator.conditions.surroundings
     times = torch.linspace(0.0, args.until, args.frames, dtype=torch.float64)
     design = torch.tensor([[args.we, args.rinf]], dtype=torch.float64)

@@ -1,12 +1,12 @@
 """Stage 8, where the model fails: the gap between simulation and data, its place, its cause, and how far it shrinks."""
 
 from imr_torch.gap.diagnose import GapReport, diagnose
-from imr_torch.gap.effects import LIBRARY, Effect, library, register_effect
 from imr_torch.gap.noise import noise_of_traces
 from imr_torch.gap.page import write_page
 from imr_torch.gap.parts import Parts, examine
 from imr_torch.gap.report import describe, to_json
 from imr_torch.gap.sets import load_set
+from imr_torch.material import LIBRARY, Effect, library, register_effect
 
 __all__ = [
     "LIBRARY",

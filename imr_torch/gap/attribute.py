@@ -16,12 +16,11 @@ from typing import Any
 from torch import Tensor
 
 from imr_torch.assimilate import EnsembleOptions, ModelFit
-from imr_torch.gap.effects import Effect
 from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence
 from imr_torch.gap.linear import Linearisation, linearise
 from imr_torch.gap.refitted import refitted_directions
 from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_blocks, promising_starts
-from imr_torch.material import ModelBelief
+from imr_torch.material import Effect, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator, simulate_together

@@ -14,11 +14,10 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.gap.attribute import ADEQUATE, Adequacy, Attribution, Inquiry, adequacy_test, attribute, reconsider
-from imr_torch.gap.effects import LIBRARY, Effect, library
 from imr_torch.gap.hypotheses import Hypothesis, fit_null, laplace_evidence
 from imr_torch.gap.linear import Linearisation
 from imr_torch.gap.score import GapTest
-from imr_torch.material import ModelBelief, wide_prior
+from imr_torch.material import LIBRARY, Effect, ModelBelief, library, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, ParallelSimulator, PolytropicSimulator, Simulator, TransportSimulator

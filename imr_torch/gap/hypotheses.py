@@ -13,8 +13,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate
 from imr_torch.assimilate.fit import ALL_BUT, ONE_MINIMUM
-from imr_torch.gap.effects import Effect
-from imr_torch.material import PARAMETERS, Belief, Marginal, ModelBelief
+from imr_torch.material import PARAMETERS, Belief, Effect, Marginal, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import PolytropicSimulator, Simulator

@@ -25,8 +25,7 @@ from imr_torch.design import (
     tell_gain,
 )
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.gap.effects import LIBRARY
-from imr_torch.material import Belief
+from imr_torch.material import LIBRARY, Belief
 from imr_torch.random import child
 from imr_torch.simulate import Simulator, simulate_together
 from imr_torch.types import Progress

@@ -10,13 +10,13 @@ from typing import Any
 from imr_torch.errors import ConvergenceError
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.effects import LIBRARY
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign, identity_design
 from imr_torch.gap.latent import LatentPressure, latent_pressure
 from imr_torch.gap.locate import ByExperiment, Onset, by_experiment, onset
 from imr_torch.gap.shrinkage import Shrinkage, shrinkage, shrinkage_unseen
 from imr_torch.gap.windows import MovingWindows, moving_windows
+from imr_torch.material import LIBRARY
 from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator, simulate_together

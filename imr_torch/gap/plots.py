@@ -15,13 +15,12 @@ from matplotlib.axes import Axes
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.effects import LIBRARY
 from imr_torch.gap.latent import LatentPressure
 from imr_torch.gap.locate import PHASES, Onset, phase_clock, phase_name
 from imr_torch.gap.score import LEVEL, BlockResult, GapTest
 from imr_torch.gap.shrinkage import Shrinkage
 from imr_torch.gap.windows import MovingWindows
-from imr_torch.material import PARAMETERS
+from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import ExperimentBatch
 
 DATA, BASE, AFTER, ALARM = "#222222", "#E69F00", "#0072B2", "#D55E00"

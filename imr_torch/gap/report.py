@@ -16,11 +16,10 @@ from scipy.stats import chi2, ncx2
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.attribute import ADEQUATE
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.effects import LIBRARY
 from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.score import LEVEL, BlockResult
-from imr_torch.material import PARAMETERS
+from imr_torch.material import LIBRARY, PARAMETERS
 
 _LEVELS = (0.05, 0.5, 0.95)
 _CAUSES = 5

@@ -16,8 +16,8 @@ from scipy.stats import chi2, ncx2
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.effects import Effect
 from imr_torch.gap.linear import Linearisation, curves
+from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator

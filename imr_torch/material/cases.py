@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 from imr_torch.errors import InputDataError
 from imr_torch.material.belief import Belief
-from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
+from imr_torch.material.marginals import Marginal, TruncatedNormal
 from imr_torch.material.models import material
+from imr_torch.material.parameters import PARAMETERS
 
 
 @dataclass(frozen=True)
@@ -82,18 +83,25 @@ def reference_case(key: str) -> ReferenceCase:
     return CASES[key]
 
 
-_WIDE: dict[str, Marginal] = {
-    "G": LogNormal(median=5e3, factor=5.0),
-    "mu": LogNormal(median=0.1, factor=3.0),
-    "alpha": TruncatedNormal(0.0, 0.5, lower=0.0),
-}
-
-
 def wide_prior(models: Sequence[str] = ("newtonian", "nhkv", "gen_qkv"), *, known: Mapping[str, float] | None = None) -> Belief:
     """A belief for a soft gel of which nothing is known: G within 1-25 kPa and mu within .03-.3 Pa s at 68 %.
 
     Args:
-        models: candidate models, equally probable.
+        models: candidate models, equally probable. Priors are those that their parameters were registered with.
         known: values of parameters that a model takes as measured (qKV: the quasi-static G), SI.
+
+    Raises:
+        InputDataError: for an unknown model, or a parameter without a default prior.
     """
-    return Belief.prior({key: {name: _WIDE[name] for name in material(key).free} for key in models}, known=known)
+    return Belief.prior({key: {name: _default(key, name) for name in material(key).free} for key in models}, known=known)
+
+
+def _default(model: str, name: str) -> Marginal:
+    """The prior that a parameter was registered with."""
+    prior = PARAMETERS[name].prior
+    if prior is None:
+        raise InputDataError(
+            f"Parameter {name!r} of model {model!r} has no default prior; register it with one (Parameter(..., prior=...)) or "
+            "give the priors yourself (Belief.prior)."
+        )
+    return prior

@@ -5,110 +5,74 @@
 Coefficients are pressures over ``p_inf``; each does nothing at zero. ``|U|`` is rounded off at small velocities.
 """
 
-from collections.abc import Mapping
-from typing import ClassVar
-
-import torch
-from torch import Tensor
-
-from imr_torch.material.stress import Stress
+from imr_torch.elementary import Scalar, sqrt
+from imr_torch.material.stress import StressTerm
 
 _SMOOTH = 0.02  # velocity below which |U| is rounded off
 
 
-class _Law:
-    """``S = -c s(R, U)`` with ``s`` and its slopes from :meth:`state`."""
-
-    names: ClassVar[tuple[str, ...]]
-    switch: ClassVar[str]
-    analytic: ClassVar[bool] = True
-
-    def __init_subclass__(cls, *, coefficient: str) -> None:
-        cls.names, cls.switch = (coefficient,), coefficient
-
-    def state(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The stress per unit of the coefficient, and its derivatives in ``R`` and in ``U``."""
-        raise NotImplementedError
-
-    def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
-        """See :class:`imr_torch.material.stress.StressTerm`."""
-        value, by_radius, by_velocity = self.state(radius, velocity, rest_radius)
-        scale = -theta[self.switch]
-        return Stress(scale * value, scale * by_radius * velocity, scale * by_velocity)
-
-
-def _power(order: int, radius: Tensor, rest_radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """``lambda^order - 1``."""
-    value = (radius / rest_radius) ** order
-    return value - 1.0, order * value / radius, torch.zeros_like(value)
-
-
-def _signed_square(x: Tensor) -> tuple[Tensor, Tensor]:
+def _signed_square(x: Scalar) -> tuple[Scalar, Scalar]:
     """``x|x|`` and its derivative."""
-    size = torch.sqrt(x * x + _SMOOTH**2)
+    size = sqrt(x * x + _SMOOTH * _SMOOTH)
     return x * size, size + x * x / size
 
 
-class StretchLaw(_Law, coefficient="law_stretch"):
+def stretch(radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_stretch: Scalar) -> tuple[Scalar, ...]:
     """``lambda - 1``."""
-
-    def state(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:  # noqa: D102
-        return _power(1, radius, rest_radius)
+    return -law_stretch * (radius / rest_radius - 1.0), -law_stretch * velocity / rest_radius, 0.0
 
 
-class SquaredStretchLaw(_Law, coefficient="law_stretch_squared"):
+def squared_stretch(radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_stretch_squared: Scalar) -> tuple[Scalar, ...]:
     """``(lambda - 1)^2``."""
-
-    def state(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:  # noqa: D102
-        strain = radius / rest_radius - 1.0
-        return strain * strain, 2.0 * strain / rest_radius, torch.zeros_like(strain)
+    strain = radius / rest_radius - 1.0
+    return -law_stretch_squared * strain * strain, -2.0 * law_stretch_squared * strain * velocity / rest_radius, 0.0
 
 
-class CompressionLaw(_Law, coefficient="law_compression"):
+def compression(radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_compression: Scalar) -> tuple[Scalar, ...]:
     """``lambda^-3 - 1``."""
+    inverse = rest_radius / radius
+    cubed = inverse * inverse * inverse
+    return -law_compression * (cubed - 1.0), 3.0 * law_compression * cubed * velocity / radius, 0.0
 
-    def state(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:  # noqa: D102
-        return _power(-3, radius, rest_radius)
 
-
-class SteepCompressionLaw(_Law, coefficient="law_compression_steep"):
+def steep_compression(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_compression_steep: Scalar
+) -> tuple[Scalar, ...]:
     """``lambda^-6 - 1``."""
+    inverse = rest_radius / radius
+    cubed = inverse * inverse * inverse
+    sixth = cubed * cubed
+    return -law_compression_steep * (sixth - 1.0), 6.0 * law_compression_steep * sixth * velocity / radius, 0.0
 
-    def state(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:  # noqa: D102
-        return _power(-6, radius, rest_radius)
 
-
-class VelocityLaw(_Law, coefficient="law_velocity"):
+def speed(radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_velocity: Scalar) -> tuple[Scalar, ...]:
     """``U``."""
-
-    def state(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:  # noqa: D102
-        return velocity, torch.zeros_like(velocity), torch.ones_like(velocity)
+    return -law_velocity * velocity, 0.0, -law_velocity
 
 
-class SquaredVelocityLaw(_Law, coefficient="law_velocity_squared"):
+def squared_speed(radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_velocity_squared: Scalar) -> tuple[Scalar, ...]:
     """``U|U|``."""
-
-    def state(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:  # noqa: D102
-        value, slope = _signed_square(velocity)
-        return value, torch.zeros_like(value), slope
+    value, slope = _signed_square(velocity)
+    return -law_velocity_squared * value, 0.0, -law_velocity_squared * slope
 
 
-class SquaredRateLaw(_Law, coefficient="law_rate_squared"):
+def squared_rate(radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_rate_squared: Scalar) -> tuple[Scalar, ...]:
     """``(U/R)|U/R|``."""
-
-    def state(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:  # noqa: D102
-        rate = velocity / radius
-        value, slope = _signed_square(rate)
-        return value, -slope * rate / radius, slope / radius
+    rate = velocity / radius
+    value, slope = _signed_square(rate)
+    return -law_rate_squared * value, law_rate_squared * slope * rate * rate, -law_rate_squared * slope / radius
 
 
-CLOSURE = (
-    StretchLaw(),
-    SquaredStretchLaw(),
-    CompressionLaw(),
-    SteepCompressionLaw(),
-    VelocityLaw(),
-    SquaredVelocityLaw(),
-    SquaredRateLaw(),
+CLOSURE = tuple(
+    StressTerm(law, switch=coefficient)
+    for law, coefficient in (
+        (stretch, "law_stretch"),
+        (squared_stretch, "law_stretch_squared"),
+        (compression, "law_compression"),
+        (steep_compression, "law_compression_steep"),
+        (speed, "law_velocity"),
+        (squared_speed, "law_velocity_squared"),
+        (squared_rate, "law_rate_squared"),
+    )
 )
 """All of them, in the order above."""

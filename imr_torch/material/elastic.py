@@ -1,94 +1,54 @@
-"""Stress terms of elasticity: each the integral of a strain energy over the gel round the bubble.
+"""Stress laws of elasticity: each the integral of a strain energy over the gel round the bubble.
 
 With the hoop stretch ``b`` of the material at a distance, ``S = -2 int_1^l (b^-2 + b^-5) dW/dI_1 / (G/2) db/Ca`` over ``b``
 from 1 (far away) to ``l = R/R_inf`` (the wall), and ``I_1 = b^-4 + 2 b^2``.
 
 Sources: Gaudron, Warnez & Johnsen (J. Fluid Mech. 766, 2015) for the neo-Hookean integral; Yang et al. (Soft Matter 16,
-2020) for the quadratic (qKV) term; Fung (Am. J. Physiol. 213, 1967) for the exponential law, of which qKV is the first order.
+2020) for the quadratic (qKV) law; Fung (Am. J. Physiol. 213, 1967) for the exponential law, of which qKV is the first order.
 """
-
-from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from imr_torch.material.stress import Stress, StressSlopes
+from imr_torch.elementary import Quadrature, Scalar, exp, expm1, log, real, where
+from imr_torch.material.stress import StressTerm
 
 
-class NeoHookeanElasticity:
+def neo_hookean(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar) -> tuple[Scalar, ...]:
     """``S = -(5 - 4/l - 1/l^4) / (2 Ca)`` with ``l = R/R_inf`` (Gaudron et al. 2015, eq. 2.22)."""
-
-    names: ClassVar[tuple[str, ...]] = ("G",)
-    switch: ClassVar[str] = "G"
-
-    def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
-        """See :class:`imr_torch.material.stress.StressTerm`."""
-        inverse = rest_radius / radius
-        cubed = inverse**3
-        half = 0.5 * theta["G"]
-        value = -half * (5.0 - inverse * (4.0 + cubed))
-        slope = -4.0 * half * inverse * (1.0 + cubed)  # dS/d(ln l)
-        return Stress(value, slope * velocity / radius, torch.zeros_like(value))
-
-    def slopes(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> StressSlopes:
-        """See :class:`imr_torch.material.stress.StressTerm`."""
-        inverse = rest_radius / radius
-        cubed = inverse**3
-        scale = -2.0 * theta["G"] * inverse
-        return _elastic_slopes(scale * (1.0 + cubed), -scale * (1.0 + 4.0 * cubed), radius, velocity)
+    inverse = rest_radius / radius
+    cubed = inverse * inverse * inverse
+    value = -0.5 * G * (5.0 - inverse * (4.0 + cubed))
+    slope = -2.0 * G * inverse * (1.0 + cubed)  # dS/d ln l
+    return value, slope * velocity / radius, 0.0
 
 
-class StrainStiffening:
-    """The quadratic term of qKV, ``(alpha/Ca)(177/20 + 1/(4 l^8) + 2/(5 l^5) - 3/(2 l^4) + 2/l^2 - 6/l - 4 l)``.
+def stiffening(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha: Scalar) -> tuple[Scalar, ...]:
+    """The quadratic law of qKV, ``(alpha/Ca)(177/20 + 1/(4 l^8) + 2/(5 l^5) - 3/(2 l^4) + 2/l^2 - 6/l - 4 l)``.
 
     Yang et al. (2020), eq. 13; ``alpha`` weighs the square of the first invariant ``I_1 - 3``.
     """
-
-    names: ClassVar[tuple[str, ...]] = ("G", "alpha")
-    switch: ClassVar[str] = "alpha"
-
-    def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
-        """See :class:`imr_torch.material.stress.StressTerm`."""
-        x = rest_radius / radius
-        x2 = x * x
-        x3 = x2 * x
-        stretch = 4.0 / x
-        scale = theta["alpha"] * theta["G"]
-        value = scale * (8.85 - stretch + x * (x3 * (x * (0.4 + 0.25 * x3) - 1.5) + 2.0 * x - 6.0))
-        slope = scale * (-2.0 * x * (x3 * (x + x2 * x2 - 3.0) + 2.0 * x - 3.0) - stretch)  # dS/d(ln l)
-        return Stress(value, slope * velocity / radius, torch.zeros_like(value))
-
-    def slopes(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> StressSlopes:
-        """See :class:`imr_torch.material.stress.StressTerm`."""
-        x = rest_radius / radius
-        stretch = 4.0 * radius / rest_radius
-        x2 = x * x
-        x4 = x2 * x2
-        eighth, fifth, fourth, second, first = -2.0 * x4 * x4, -2.0 * x4 * x, 6.0 * x4, -4.0 * x2, 6.0 * x
-        scale = theta["alpha"] * theta["G"]
-        slope = scale * (eighth + fifth + fourth + second + first - stretch)
-        bend = -scale * (8.0 * eighth + 5.0 * fifth + 4.0 * fourth + 2.0 * second + first + stretch)
-        return _elastic_slopes(slope, bend, radius, velocity)
+    x = rest_radius / radius
+    x2 = x * x
+    x3 = x2 * x
+    stretch = 4.0 / x
+    scale = alpha * G
+    value = scale * (8.85 - stretch + x * (x3 * (x * (0.4 + 0.25 * x3) - 1.5) + 2.0 * x - 6.0))
+    slope = scale * (-2.0 * x * (x3 * (x + x2 * x2 - 3.0) + 2.0 * x - 3.0) - stretch)  # dS/d ln l
+    return value, slope * velocity / radius, 0.0
 
 
-class LinearElasticity:
+def _softens(G: Tensor, alpha: Tensor) -> Tensor:
+    """At negative ``alpha`` the stress at collapse pulls inwards as ``l^-8``."""
+    return (G > 0.0) & (alpha < 0.0)
+
+
+def linear_elastic(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_lin: Scalar) -> tuple[Scalar, ...]:
     """The small-strain limit, ``S = -(4/3) G (1 - 1/l^3)`` (Estrada et al. 2018, section 2.2)."""
-
-    names: ClassVar[tuple[str, ...]] = ("G_lin",)
-    switch: ClassVar[str] = "G_lin"
-
-    def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
-        """See :class:`imr_torch.material.stress.StressTerm`."""
-        cubed = (rest_radius / radius) ** 3
-        value = -4.0 / 3.0 * theta["G_lin"] * (1.0 - cubed)
-        return Stress(value, -4.0 * theta["G_lin"] * cubed * velocity / radius, torch.zeros_like(value))
-
-    def slopes(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> StressSlopes:
-        """See :class:`imr_torch.material.stress.StressTerm`."""
-        slope = -4.0 * theta["G_lin"] * (rest_radius / radius) ** 3
-        return _elastic_slopes(slope, -3.0 * slope, radius, velocity)
+    inverse = rest_radius / radius
+    cubed = inverse * inverse * inverse
+    return -4.0 / 3.0 * G_lin * (1.0 - cubed), -4.0 * G_lin * cubed * velocity / radius, 0.0
 
 
 def _graded_rule(count: int) -> tuple[Tensor, Tensor]:
@@ -98,70 +58,70 @@ def _graded_rule(count: int) -> tuple[Tensor, Tensor]:
     return 1.0 - left * left, weights * left
 
 
-_NODES, _WEIGHTS = _graded_rule(32)
+_RULE = _graded_rule(32)
+_STIFFEST = 300.0  # exponent beyond which no bubble could tell a stiffer gel
 
 
-class _FungElasticity:
-    """Stiffening beyond neo-Hookean, ``2 (b^-2 + b^-5) G (f(I_1 - 3) - 1)`` integrated over ``ln b`` by quadrature.
+def _invariant(stretch: Scalar) -> Scalar:
+    """``I_1 - 3`` at a hoop stretch."""
+    square = stretch * stretch
+    return 1.0 / (square * square) + 2.0 * square - 3.0
 
-    The error is below 1e-11 of the integral up to ``alpha (I_1 - 3) = 20`` and below 1e-6 up to 100.
+
+def _density(stretch: Scalar, excess: Scalar) -> Scalar:
+    """``dS/d ln b`` per modulus at a hoop stretch, of an ``excess`` ``f(I_1 - 3) - 1`` over the neo-Hookean modulus."""
+    inverse = 1.0 / stretch
+    square = inverse * inverse
+    return -2.0 * (inverse + square * square) * excess
+
+
+def _second_order_density(stretch: Scalar, alpha: Scalar) -> Scalar:
+    scaled = alpha * _invariant(stretch)
+    return _density(stretch, scaled * (1.0 + 0.5 * scaled))
+
+
+def _exponential_density(stretch: Scalar, alpha: Scalar) -> Scalar:
+    exponent = alpha * _invariant(stretch)
+    return _density(stretch, expm1(where(real(exponent) > _STIFFEST, _STIFFEST, exponent)))
+
+
+def _second_order_node(node: Scalar, span: Scalar, alpha: Scalar) -> Scalar:
+    return _second_order_density(exp(node * span), alpha)
+
+
+def _exponential_node(node: Scalar, span: Scalar, alpha: Scalar) -> Scalar:
+    return _exponential_density(exp(node * span), alpha)
+
+
+_SECOND_ORDER_MEAN, _EXPONENTIAL_MEAN = Quadrature(_second_order_node, _RULE), Quadrature(_exponential_node, _RULE)
+
+
+def second_order_fung(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha_fung2: Scalar
+) -> tuple[Scalar, ...]:
+    """The exponential law to second order, beyond neo-Hookean: ``f = 1 + a x + a^2 x^2/2`` at ``x = I_1 - 3``.
+
+    ``2 (b^-2 + b^-5) G (f - 1)`` is integrated over ``ln b`` by quadrature; the error is below 1e-11 of the integral up to
+    ``a x = 20`` and below 1e-6 up to 100.
     """
-
-    names: ClassVar[tuple[str, ...]]
-    switch: ClassVar[str]
-    analytic: ClassVar[bool] = True
-
-    def excess(self, alpha: Tensor, invariant: Tensor) -> Tensor:
-        """``f - 1``: the relative increase of the modulus at ``I_1 - 3``."""
-        raise NotImplementedError
-
-    def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
-        """See :class:`imr_torch.material.stress.StressTerm`."""
-        stretch = radius / rest_radius
-        nodes = _NODES.to(radius).reshape(-1, *[1] * radius.ndim)
-        weights = _WEIGHTS.to(radius).reshape(nodes.shape)
-        span = torch.log(stretch)
-        value = span * (weights * self._density(torch.exp(nodes * span), theta)).sum(0)
-        rate = self._density(stretch, theta) * velocity / radius
-        return Stress(value, rate, torch.zeros_like(value))
-
-    def _density(self, stretch: Tensor, theta: Mapping[str, Tensor]) -> Tensor:
-        """``dS/d ln b`` at a hoop stretch."""
-        inverse = 1.0 / stretch
-        invariant = inverse**4 + 2.0 * stretch * stretch - 3.0
-        return -2.0 * theta["G"] * (inverse + inverse**4) * self.excess(theta[self.switch], invariant)
+    stretch = radius / rest_radius
+    span = log(stretch)
+    value = G * span * _SECOND_ORDER_MEAN(span, alpha_fung2)
+    return value, G * _second_order_density(stretch, alpha_fung2) * velocity / radius, 0.0
 
 
-class SecondOrderFung(_FungElasticity):
-    """The exponential law to second order: ``f = 1 + a x + a^2 x^2/2``."""
-
-    names: ClassVar[tuple[str, ...]] = ("G", "alpha_fung2")
-    switch: ClassVar[str] = "alpha_fung2"
-
-    def excess(self, alpha: Tensor, invariant: Tensor) -> Tensor:
-        """See :class:`_FungElasticity`."""
-        scaled = alpha * invariant
-        return scaled * (1.0 + 0.5 * scaled)
+def exponential_fung(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha_fung: Scalar
+) -> tuple[Scalar, ...]:
+    """``W = G/(2 a) (exp(a (I_1 - 3)) - 1)`` (Fung 1967), beyond neo-Hookean: ``f = exp(a x)``; quadrature as above."""
+    stretch = radius / rest_radius
+    span = log(stretch)
+    value = G * span * _EXPONENTIAL_MEAN(span, alpha_fung)
+    return value, G * _exponential_density(stretch, alpha_fung) * velocity / radius, 0.0
 
 
-class ExponentialFung(_FungElasticity):
-    """``W = G/(2 a) (exp(a (I_1 - 3)) - 1)`` (Fung 1967): ``f = exp(a x)``."""
-
-    names: ClassVar[tuple[str, ...]] = ("G", "alpha_fung")
-    switch: ClassVar[str] = "alpha_fung"
-
-    def excess(self, alpha: Tensor, invariant: Tensor) -> Tensor:
-        """See :class:`_FungElasticity`."""
-        exponent = alpha * invariant
-        return torch.expm1(torch.where(exponent.real > 300.0, 300.0, exponent))  # stiffer than any bubble all the same
-
-
-def _elastic_slopes(slope: Tensor, bend: Tensor, radius: Tensor, velocity: Tensor) -> StressSlopes:
-    """Derivatives of an elastic term from its first and second derivative in ``ln l``."""
-    per_radius = 1.0 / radius
-    zero = torch.zeros_like(slope)
-    by_radius = slope * per_radius
-    return StressSlopes(
-        Stress(by_radius, (bend - slope) * velocity * per_radius**2, zero),
-        Stress(zero, by_radius, zero),
-    )
+NEO_HOOKEAN = StressTerm(neo_hookean, switch="G")
+STIFFENING = StressTerm(stiffening, switch="alpha", unbounded=_softens)
+LINEAR_ELASTIC = StressTerm(linear_elastic, switch="G_lin")
+SECOND_ORDER_FUNG = StressTerm(second_order_fung, switch="alpha_fung2")
+EXPONENTIAL_FUNG = StressTerm(exponential_fung, switch="alpha_fung")

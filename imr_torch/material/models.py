@@ -8,18 +8,12 @@ from collections.abc import Mapping, Sequence
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.material.elastic import (
-    ExponentialFung,
-    LinearElasticity,
-    NeoHookeanElasticity,
-    SecondOrderFung,
-    StrainStiffening,
-)
+from imr_torch.material.elastic import EXPONENTIAL_FUNG, LINEAR_ELASTIC, NEO_HOOKEAN, SECOND_ORDER_FUNG, STIFFENING
 from imr_torch.material.integral import TERMS, stress_integral
-from imr_torch.material.memory import MaxwellBranch, OldroydB, StandardLinearSolid, StandardNonlinearSolid
+from imr_torch.material.memory import MAXWELL, OLDROYD_B, STANDARD_LINEAR, STANDARD_NONLINEAR
 from imr_torch.material.parameters import PARAMETERS, Parameter
-from imr_torch.material.stress import AnyTerm, Stress
-from imr_torch.material.viscous import CarreauThinning, NewtonianViscosity
+from imr_torch.material.stress import Stress, StressTerm
+from imr_torch.material.viscous import CARREAU, NEWTONIAN
 
 
 class Material:
@@ -36,7 +30,7 @@ class Material:
     key: str
     title: str
     reference: str
-    terms: tuple[AnyTerm, ...]
+    terms: tuple[StressTerm, ...]
     known: tuple[str, ...] = ()
 
     @property
@@ -78,7 +72,7 @@ class Newtonian(Material):
 
     key, title = "newtonian", "Newtonian"
     reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
-    terms = (NewtonianViscosity(),)
+    terms = (NEWTONIAN,)
 
 
 class NeoHookean(Material):
@@ -86,7 +80,7 @@ class NeoHookean(Material):
 
     key, title = "nhe", "NHE"
     reference = "Gaudron, Warnez & Johnsen, J. Fluid Mech. 766 (2015)"
-    terms = (NeoHookeanElasticity(),)
+    terms = (NEO_HOOKEAN,)
 
 
 class NeoHookeanKelvinVoigt(Material):
@@ -94,7 +88,7 @@ class NeoHookeanKelvinVoigt(Material):
 
     key, title = "nhkv", "NHKV"
     reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
-    terms = (NewtonianViscosity(), NeoHookeanElasticity())
+    terms = (NEWTONIAN, NEO_HOOKEAN)
 
 
 class QuadraticKelvinVoigt(Material):
@@ -102,7 +96,7 @@ class QuadraticKelvinVoigt(Material):
 
     key, title = "qkv", "qKV"
     reference = "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)"
-    terms = (NewtonianViscosity(), NeoHookeanElasticity(), StrainStiffening())
+    terms = (NEWTONIAN, NEO_HOOKEAN, STIFFENING)
     known = ("G",)
 
 
@@ -119,7 +113,7 @@ class LinearKelvinVoigt(Material):
 
     key, title = "linkv", "Linear KV"
     reference = "Yang & Church, J. Acoust. Soc. Am. 118 (2005)"
-    terms = (NewtonianViscosity(), LinearElasticity())
+    terms = (NEWTONIAN, LINEAR_ELASTIC)
 
 
 class SecondOrderFungKelvinVoigt(Material):
@@ -127,7 +121,7 @@ class SecondOrderFungKelvinVoigt(Material):
 
     key, title = "fung2", "2nd-order Fung"
     reference = "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)"
-    terms = (NewtonianViscosity(), NeoHookeanElasticity(), SecondOrderFung())
+    terms = (NEWTONIAN, NEO_HOOKEAN, SECOND_ORDER_FUNG)
 
 
 class ExponentialFungKelvinVoigt(Material):
@@ -135,7 +129,7 @@ class ExponentialFungKelvinVoigt(Material):
 
     key, title = "fungexp", "Fung"
     reference = "Fung, Am. J. Physiol. 213 (1967)"
-    terms = (NewtonianViscosity(), NeoHookeanElasticity(), ExponentialFung())
+    terms = (NEWTONIAN, NEO_HOOKEAN, EXPONENTIAL_FUNG)
 
 
 class Maxwell(Material):
@@ -143,7 +137,7 @@ class Maxwell(Material):
 
     key, title = "maxwell", "Maxwell"
     reference = "Allen & Roy, J. Acoust. Soc. Am. 107 (2000)"
-    terms = (NewtonianViscosity(), MaxwellBranch())
+    terms = (NEWTONIAN, MAXWELL)
 
 
 class Zener(Material):
@@ -151,7 +145,7 @@ class Zener(Material):
 
     key, title = "zener", "Zener"
     reference = "Warnez & Johnsen, Phys. Fluids 27 (2015)"
-    terms = (NewtonianViscosity(), NeoHookeanElasticity(), MaxwellBranch())
+    terms = (NEWTONIAN, NEO_HOOKEAN, MAXWELL)
 
 
 class StandardLinear(Material):
@@ -159,7 +153,7 @@ class StandardLinear(Material):
 
     key, title = "sls", "SLS"
     reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
-    terms = (NewtonianViscosity(), LinearElasticity(), StandardLinearSolid())
+    terms = (NEWTONIAN, LINEAR_ELASTIC, STANDARD_LINEAR)
 
 
 class StandardNonlinear(Material):
@@ -167,7 +161,7 @@ class StandardNonlinear(Material):
 
     key, title = "sns", "SNS"
     reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
-    terms = (NewtonianViscosity(), NeoHookeanElasticity(), StandardNonlinearSolid())
+    terms = (NEWTONIAN, NEO_HOOKEAN, STANDARD_NONLINEAR)
 
 
 class UpperConvectedMaxwell(Material):
@@ -175,7 +169,7 @@ class UpperConvectedMaxwell(Material):
 
     key, title = "ucm", "Upper-convected Maxwell"
     reference = "Warnez & Johnsen, Phys. Fluids 27 (2015)"
-    terms = (NewtonianViscosity(), OldroydB())
+    terms = (NEWTONIAN, OLDROYD_B)
 
 
 class CarreauKelvinVoigt(Material):
@@ -183,7 +177,7 @@ class CarreauKelvinVoigt(Material):
 
     key, title = "carreau", "Carreau KV"
     reference = "Carreau, Trans. Soc. Rheol. 16 (1972)"
-    terms = (NewtonianViscosity(), NeoHookeanElasticity(), CarreauThinning())
+    terms = (NEWTONIAN, NEO_HOOKEAN, CARREAU)
 
 
 MATERIALS: dict[str, Material] = {}

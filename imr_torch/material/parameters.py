@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
 from imr_torch.units import Surroundings
 
 Dimension = Literal["pressure", "viscosity", "time", "none"]
@@ -32,6 +33,7 @@ class Parameter:
         neutral: value at which the entry does nothing, exactly.
         display_scale: factor from SI to ``display_unit``.
         display_unit: unit in which people quote it.
+        prior: what is believed of it in a soft gel of which nothing is known, for models that infer it.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Parameter:
     neutral: float
     display_scale: float = 1.0
     display_unit: str = ""
+    prior: Marginal | None = None
 
     def __post_init__(self) -> None:
         if not self.lower <= self.neutral <= self.upper:
@@ -142,27 +145,43 @@ class ParameterVector:
 
 PARAMETERS = ParameterVector()
 
-SHEAR_MODULUS = PARAMETERS.register(
-    Parameter("G", "shear modulus", "Pa", "pressure", 0.0, 1e7, 0.0, display_scale=1e-3, display_unit="kPa")
-)
-VISCOSITY = PARAMETERS.register(Parameter("mu", "viscosity", "Pa s", "viscosity", 0.0, 100.0, 0.0))
-STIFFENING = PARAMETERS.register(Parameter("alpha", "strain stiffening", "1", "none", -1.0, 100.0, 0.0))
-LINEAR_MODULUS = PARAMETERS.register(
-    Parameter("G_lin", "shear modulus at small strain", "Pa", "pressure", 0.0, 1e7, 0.0, display_scale=1e-3, display_unit="kPa")
-)
-FUNG2 = PARAMETERS.register(Parameter("alpha_fung2", "stiffening, Fung to second order", "1", "none", -1.0, 100.0, 0.0))
-FUNG = PARAMETERS.register(Parameter("alpha_fung", "stiffening, exponential Fung", "1", "none", -1.0, 10.0, 0.0))
-THINNING = PARAMETERS.register(Parameter("thinning", "shear thinning 1 - n (Carreau)", "1", "none", 0.0, 1.0, 0.0))
+
+def _modulus(name: str, meaning: str) -> Parameter:
+    """A shear modulus, within 1-25 kPa at 68 %."""
+    prior = LogNormal(median=5e3, factor=5.0)
+    return PARAMETERS.register(
+        Parameter(name, meaning, "Pa", "pressure", 0.0, 1e7, 0.0, display_scale=1e-3, display_unit="kPa", prior=prior)
+    )
+
+
+def _shape(name: str, meaning: str, lower: float, upper: float, sd: float) -> Parameter:
+    """A number that is most likely small and not negative."""
+    prior = TruncatedNormal(0.0, sd, lower=0.0, upper=min(upper, 100.0 * sd))
+    return PARAMETERS.register(Parameter(name, meaning, "1", "none", lower, upper, 0.0, prior=prior))
 
 
 def _relaxation_time(name: str, meaning: str) -> Parameter:
-    """A time from 0 (neutral) to a second, quoted in microseconds."""
-    return PARAMETERS.register(Parameter(name, meaning, "s", "time", 0.0, 1.0, 0.0, display_scale=1e6, display_unit="us"))
+    """A time from 0 (neutral) to a second, quoted in microseconds; within 2-50 us at 68 %."""
+    prior = LogNormal(median=1e-5, factor=5.0)
+    return PARAMETERS.register(
+        Parameter(name, meaning, "s", "time", 0.0, 1.0, 0.0, display_scale=1e6, display_unit="us", prior=prior)
+    )
 
 
+SHEAR_MODULUS = _modulus("G", "shear modulus")
+VISCOSITY = PARAMETERS.register(
+    Parameter("mu", "viscosity", "Pa s", "viscosity", 0.0, 100.0, 0.0, prior=LogNormal(median=0.1, factor=3.0))
+)
+STIFFENING = PARAMETERS.register(
+    Parameter("alpha", "strain stiffening", "1", "none", -1.0, 100.0, 0.0, prior=TruncatedNormal(0.0, 0.5, lower=0.0))
+)
+LINEAR_MODULUS = _modulus("G_lin", "shear modulus at small strain")
+FUNG2 = _shape("alpha_fung2", "stiffening, Fung to second order", -1.0, 100.0, 0.1)
+FUNG = _shape("alpha_fung", "stiffening, exponential Fung", -1.0, 10.0, 0.02)
+THINNING = _shape("thinning", "shear thinning 1 - n (Carreau)", 0.0, 1.0, 0.3)
 SHEAR_TIME = _relaxation_time("shear_time", "time scale of shear thinning (Carreau)")
 RELAXATION = _relaxation_time("tau", "relaxation time (Maxwell branch)")
-RETARDATION = PARAMETERS.register(Parameter("retardation", "retardation over relaxation time", "1", "none", 0.0, 1.0, 0.0))
+RETARDATION = _shape("retardation", "retardation over relaxation time", 0.0, 1.0, 0.3)
 RELAXATION_SLS = _relaxation_time("tau_sls", "relaxation time (standard linear solid)")
 RELAXATION_SNS = _relaxation_time("tau_sns", "relaxation time (standard nonlinear solid)")
 RELAXATION_UCM = _relaxation_time("tau_ucm", "relaxation time (upper-convected branch)")

@@ -2,17 +2,20 @@
 
 For a spherical bubble in an incompressible medium the stress integral ``S = 2 int_R^inf (tau_rr - tau_tt)/r dr`` is a
 function of the stretch ratio ``lambda = R/R_inf``, the wall velocity ``U`` and, where the gel remembers, of *memory
-states* with rates of their own. The radial equations also need ``dS/dt``, which holds ``dU/dt``; each term therefore
+states* with rates of their own. The radial equations also need ``dS/dt``, which holds ``dU/dt``; each law therefore
 returns ``S``, the part of ``dS/dt`` that is known from the state, and the factor of ``dU/dt``. All quantities are
 dimensionless (pressures over ``p_inf``).
 """
 
+import inspect
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from dataclasses import dataclass, field
 
+import torch
 from torch import Tensor
-from typing_extensions import TypeIs
+
+from imr_torch.elementary import Law, has_compiled_form
+from imr_torch.errors import InputDataError
 
 
 @dataclass(frozen=True)
@@ -33,76 +36,98 @@ class Stress:
         return Stress(self.value + other.value, self.rate + other.rate, self.acceleration + other.acceleration)
 
 
-class StressTerm(Protocol):
-    """One additive contribution to the stress integral; vanishes when ``switch`` is at its neutral value.
+@dataclass(frozen=True)
+class StressTerm:
+    """One additive contribution to the stress integral, written once as a law of scalars.
 
-    A term may offer a method ``slopes`` of the same arguments that returns its :class:`StressSlopes`; any other term is
-    differentiated automatically, which is as exact and takes longer. A term that is an analytic function of ``R``, ``U`` and
-    memory (no ``abs``, ``sign``, ``clamp`` or comparison of them) may say ``analytic = True``, which makes that fast.
+    The law is a plain function at the top of a module,
+    ``law(radius, velocity, rest_radius, *memory, *parameters) -> (value, rate, acceleration, *memory_rates)``, whose last
+    arguments are named as the entries of ``PARAMETERS`` that it reads; all quantities are dimensionless. ``rate`` includes
+    what the memory's own rates do. Written with :mod:`imr_torch.elementary` it is compiled and differentiated by complex
+    step; with other functions of torch it is evaluated on tensors and differentiated in forward mode.
+
+    A memory state is scaled as a pressure over ``p_inf``. Members of a batch whose ``switch`` is neutral have it too where
+    another member needs it; it must do nothing for them.
+
+    Args:
+        law: see above.
+        switch: the parameter whose neutral value, 0, turns the term off.
+        states: memory states of the law.
+        start: ``start(rest_radius, *parameters)``, a tuple of the memory at time zero, where ``R = 1``; zeros by default.
+        fastest: ``fastest(*parameters)``, the rate at which the fastest state relaxes, which explicit solvers must resolve;
+            None if it follows the bubble's motion.
+        unbounded: ``unbounded(*parameters)``, on tensors: where the energy of the term has no lower bound, which excuses a
+            solve that fails.
+        names: parameters that the law reads, from its signature.
     """
 
-    names: ClassVar[tuple[str, ...]]
-    """Parameters that the term reads."""
-    switch: ClassVar[str]
-    """The parameter whose neutral value turns the term off."""
+    law: Law
+    switch: str
+    states: int = 0
+    start: Law | None = None
+    fastest: Law | None = None
+    unbounded: Law | None = None
+    names: tuple[str, ...] = field(init=False)
 
-    def __call__(self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Stress:
-        """Evaluate the term; all arguments dimensionless and broadcastable to ``batch_shape``."""
-        ...
+    def __post_init__(self) -> None:
+        arguments = tuple(inspect.signature(self.law).parameters)
+        if arguments[:3] != ("radius", "velocity", "rest_radius") or len(arguments) <= 3 + self.states:
+            raise InputDataError(
+                f"A stress law takes radius, velocity, rest_radius, its {self.states} memory states and the parameters that "
+                f"it reads, in this order; {self.law.__qualname__} takes {', '.join(arguments)}."
+            )
+        object.__setattr__(self, "names", arguments[3 + self.states :])
 
+    @property
+    def name(self) -> str:
+        """The law's name."""
+        return self.law.__qualname__
 
-class MemoryTerm(Protocol):
-    """A term with memory: ``states`` numbers a member that follow rates of their own.
-
-    A memory state is scaled as a pressure over ``p_inf``. Members whose ``switch`` is neutral have it too where another
-    member of the batch needs it; it must do nothing for them.
-    """
-
-    names: ClassVar[tuple[str, ...]]
-    switch: ClassVar[str]
-    states: ClassVar[int]
-    """How many memory states the term carries."""
+    @property
+    def compilable(self) -> bool:
+        """Whether the whole term is written with :mod:`imr_torch.elementary`."""
+        return all(law is None or has_compiled_form(law) for law in (self.law, self.start, self.fastest))
 
     def __call__(
-        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor
+        self,
+        radius: Tensor,
+        velocity: Tensor,
+        rest_radius: Tensor,
+        theta: Mapping[str, Tensor],
+        memory: Tensor | None = None,
     ) -> Stress:
-        """Evaluate the term; ``memory`` is ``states x batch_shape``. ``rate`` includes what the memory's own rate does."""
-        ...
+        """Evaluate the term; ``memory`` is ``states x batch_shape``, all else broadcasts to ``batch_shape``.
 
-    def start(self, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Tensor:
-        """``memory`` at time zero, where ``R = 1``, ``states x batch_shape``."""
-        ...
+        Raises:
+            InputDataError: if the term has memory and none is given.
+        """
+        return Stress(*self.evaluate(radius, velocity, rest_radius, theta, memory)[:3])
 
     def memory_rate(
         self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor
     ) -> Tensor:
         """Time derivative of ``memory``, ``states x batch_shape``."""
-        ...
+        return torch.stack(self.evaluate(radius, velocity, rest_radius, theta, memory)[3:])
 
-    def fastest(self, theta: Mapping[str, Tensor]) -> Tensor:
-        """Rate at which the fastest state relaxes, ``batch_shape``; explicit solvers must resolve it."""
-        ...
+    def memory_start(self, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Tensor:
+        """Memory at time zero, ``states x batch_shape``."""
+        if self.start is None:
+            return rest_radius.new_zeros(self.states, *rest_radius.shape)
+        return torch.stack(self.start(rest_radius, *self._read(theta)))
 
+    def relaxation_rate(self, theta: Mapping[str, Tensor]) -> Tensor | None:
+        """Rate of the fastest state, ``batch_shape``; None if it follows the bubble's motion."""
+        return None if self.fastest is None else self.fastest(*self._read(theta))
 
-AnyTerm = StressTerm | MemoryTerm
+    def evaluate(
+        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor | None
+    ) -> tuple[Tensor, ...]:
+        """Value, rate and acceleration of the stress, and the rates of the memory, all of the broadcast shape."""
+        if self.states and memory is None:
+            raise InputDataError(f"{self.name} has memory; its states must be given.")
+        states = memory.unbind(0)[: self.states] if memory is not None else ()
+        parts = self.law(radius, velocity, rest_radius, *states, *self._read(theta))
+        return tuple(torch.broadcast_tensors(*(x if isinstance(x, Tensor) else radius.new_full((), x) for x in parts)))
 
-
-def remembers(term: AnyTerm) -> TypeIs[MemoryTerm]:
-    """Whether a term has memory; asked at every step, where ``isinstance`` of a protocol takes a tenth of a small batch."""
-    return hasattr(term, "states")
-
-
-@dataclass(frozen=True)
-class StressSlopes:
-    """Partial derivatives of a :class:`Stress`, for solvers that need an exact Jacobian.
-
-    Args:
-        radius: derivative of each entry in ``R``.
-        velocity: derivative of each entry in ``U``.
-    """
-
-    radius: Stress
-    velocity: Stress
-
-    def __add__(self, other: "StressSlopes") -> "StressSlopes":
-        return StressSlopes(self.radius + other.radius, self.velocity + other.velocity)
+    def _read(self, theta: Mapping[str, Tensor]) -> list[Tensor]:
+        return [theta[name] for name in self.names]

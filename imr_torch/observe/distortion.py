@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from imr_torch.material import PARAMETERS, Parameter
+from imr_torch.material import PARAMETERS, Effect, Parameter, TruncatedNormal, register_effect
 
 
 def _error(name: str, meaning: str, lower: float, upper: float) -> Parameter:
@@ -25,6 +25,62 @@ RINF_BIAS = _error("rinf_bias", "true R_inf over the measured one, less 1", -0.5
 CLOCK = _error("clock", "log of true over measured time at a fixed time scale", -0.3, 0.3)
 EXPOSURE_BLUR = _error("exposure_blur", "exposure, in Rmax/U_c", 0.0, 0.5)
 REFRACTION = _error("refraction", "relative error of R that grows with R*", -0.2, 0.2)
+
+register_effect(
+    Effect(
+        "missed_maximum",
+        "the true maximum was missed",
+        "measurement",
+        {"missed_maximum": TruncatedNormal(0.0, 0.015)},
+        confused="trigger offset, residual velocity",
+    )
+)
+register_effect(
+    Effect(
+        "trigger_offset",
+        "the clock starts early or late",
+        "measurement",
+        {"trigger_offset": TruncatedNormal(0.0, 0.025)},
+        confused="residual velocity: the same to first order; frames before the maximum tell",
+        group="start",
+    )
+)
+register_effect(
+    Effect(
+        "rinf_bias",
+        "the rest radius is misread",
+        "geometry",
+        {"rinf_bias": TruncatedNormal(0.0, 0.05)},
+        confused="heat exchange, damage, viscosity",
+    )
+)
+register_effect(
+    Effect(
+        "clock",
+        "frame rate or pixel size is off",
+        "measurement",
+        {"clock": TruncatedNormal(0.0, 0.025)},
+        confused="vapour pressure, shear modulus",
+    )
+)
+register_effect(
+    Effect(
+        "exposure_blur",
+        "frames average over their exposure",
+        "measurement",
+        {"exposure_blur": TruncatedNormal(0.0, 0.05, lower=0.0)},
+        confused="nothing alike",
+    )
+)
+register_effect(
+    Effect(
+        "refraction",
+        "the gel refracts: R is magnified as it grows",
+        "measurement",
+        {"refraction": TruncatedNormal(0.0, 0.01)},
+        confused="missed maximum",
+    )
+)
 
 _GEOMETRY = ("missed_maximum", "trigger_offset", "rinf_bias")  # in the order of the nuisances of one experiment
 _NODES, _WEIGHTS = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(8))

@@ -10,8 +10,10 @@ from imr_torch.simulate.conditions import (
     Stepping,
     preset,
 )
-from imr_torch.simulate.driving import Driving, GaussianPulse, SineDriving, TabulatedDriving
+from imr_torch.simulate.driving import Driving, GaussianPulse, LawDriving, SineDriving, TabulatedDriving
+from imr_torch.simulate.engines import ENGINES, Engine
 from imr_torch.simulate.grids import Resolution
+from imr_torch.simulate.ode_method import METHOD, TransportField
 from imr_torch.simulate.parallel import ParallelSimulator, process_pool
 from imr_torch.simulate.polytropic import PolytropicSimulator
 from imr_torch.simulate.radial import (
@@ -42,17 +44,21 @@ __all__ = [
     "ACCURACIES",
     "DESIGN",
     "EARLIEST",
+    "ENGINES",
+    "METHOD",
     "PRESETS",
     "RADIAL_EQUATIONS",
     "STEPPINGS",
     "Accuracy",
     "Conditions",
     "Driving",
+    "Engine",
     "GasMixture",
     "GaussianPulse",
     "Gilmore",
     "KellerMiksis",
     "KellerMiksisEnthalpy",
+    "LawDriving",
     "Medium",
     "ParallelSimulator",
     "PolytropicGas",
@@ -67,6 +73,7 @@ __all__ = [
     "Status",
     "Stepping",
     "TabulatedDriving",
+    "TransportField",
     "TransportSimulator",
     "broadcast_batch",
     "check_designs",

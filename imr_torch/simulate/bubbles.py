@@ -3,23 +3,33 @@
 Definitions follow Estrada et al. (J. Mech. Phys. Solids 112, 2018), section 2.3 and appendix A: ``chi = T_inf K_inf /
 (p_inf Rmax U_c)``, ``Fo_m = D_0/(U_c Rmax)``, ``Fo_h = K_m/(rho c_p,m U_c Rmax)``, ``Br = U_c^2/(c_p,m T_inf)``; gas
 constants and latent heat are scaled by ``U_c^2``, conductivities by ``K_inf = K(T_inf)``. Effects
-(:mod:`imr_torch.simulate.effects`) enter as factors and offsets of these numbers.
+(:class:`imr_torch.material.Effect`) change the setting, from which all numbers follow.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-import imr_torch.simulate.effects  # noqa: F401 - registers its parameters
-from imr_torch.material import PARAMETERS, AnyTerm, active_terms, dimensionless, memory_start, memory_states, remembers
+import imr_torch.simulate.effects  # noqa: F401 - registers its effects
+from imr_torch.elementary import Scalar
+from imr_torch.material import (
+    LIBRARY,
+    PARAMETERS,
+    TERMS,
+    Effect,
+    StressTerm,
+    dimensionless,
+    memory_start,
+    memory_states,
+)
 from imr_torch.simulate.conditions import SATURATION_PREFACTOR, SATURATION_TEMPERATURE, Conditions
 
 
-@dataclass(frozen=True)
-class Constants:
+class Constants(NamedTuple):
     """Dimensionless numbers that all bubbles share.
 
     Args:
@@ -32,6 +42,7 @@ class Constants:
         conductivity: ``K_m``.
         warm: whether the medium warms up.
         gas_capacity: whether the medium takes the gas's heat capacity at the wall (parity with the published code).
+        stress_acceleration: whether the part of ``dS/dt`` that is proportional to ``U'`` acts (left out by that code).
     """
 
     heat_ratio: float
@@ -43,6 +54,7 @@ class Constants:
     conductivity: float
     warm: bool
     gas_capacity: bool
+    stress_acceleration: bool
 
     @classmethod
     def of(cls, conditions: Conditions) -> "Constants":
@@ -61,6 +73,7 @@ class Constants:
             conductivity=medium.conductivity / far,
             warm=medium.warm,
             gas_capacity=medium.capacity_of == "gas_wall",
+            stress_acceleration=conditions.stress_acceleration,
         )
 
 
@@ -70,6 +83,144 @@ def far_conductivity(conditions: Conditions) -> float:
     return mixture.conductivity_slope * conditions.surroundings.temperature + mixture.conductivity_offset
 
 
+class Setting(NamedTuple):
+    """What the numbers of a bubble follow from; each a ``B`` tensor, which effects may change.
+
+    Args:
+        weber: ``We`` of the design.
+        rest_radius: ``R_inf*`` of the design.
+        tension: ``1/We`` as it acts on the wall.
+        slowness: ``1/c``.
+        far: pressure afar.
+        image: strength of a mirror bubble.
+        velocity: of the wall at time zero.
+        saturation: vapour pressure at the far temperature.
+        conduction: factor on the conductivity of the contents.
+        exponent: of polytropic gas.
+        adiabatic: ratio of specific heats.
+    """
+
+    weber: Tensor
+    rest_radius: Tensor
+    tension: Tensor
+    slowness: Tensor
+    far: Tensor
+    image: Tensor
+    velocity: Tensor
+    saturation: Tensor
+    conduction: Tensor
+    exponent: Tensor
+    adiabatic: Tensor
+
+    @classmethod
+    def of(cls, designs: Tensor, conditions: Conditions) -> "Setting":
+        """The setting of ``B x 2`` designs without effects."""
+        outer = conditions.surroundings
+        weber, rest = designs.unbind(1)
+
+        def all_at(value: float) -> Tensor:
+            return torch.full_like(weber, value)
+
+        return cls(
+            weber=weber,
+            rest_radius=rest,
+            tension=1.0 / weber,
+            slowness=all_at(outer.velocity_scale / outer.sound_speed),
+            far=all_at(1.0),
+            image=all_at(0.0),
+            velocity=all_at(conditions.initial_velocity / outer.velocity_scale),
+            saturation=all_at(conditions.saturation),
+            conduction=all_at(1.0),
+            exponent=all_at(conditions.gas.exponent),
+            adiabatic=all_at(conditions.mixture.heat_ratio),
+        )
+
+
+class Numbers(NamedTuple):
+    """The dimensionless numbers of each bubble: a ``B`` tensor each, or one number each for one bubble.
+
+    Args:
+        rest_radius: ``R_inf*``.
+        tension: ``1/We``.
+        slowness: ``1/c``.
+        far: pressure afar.
+        image: strength of a mirror bubble.
+        velocity: of the wall at time zero.
+        seconds: ``Rmax/U_c``, s.
+        gas: pressure of polytropic gas at ``R = 1``.
+        exponent: of polytropic gas.
+        vapour: constant vapour pressure beside polytropic gas.
+        start: pressure of the transporting mixture at ``R = 1``.
+        constant_vapour: beside that.
+        saturation: prefactor of the saturation pressure.
+        chi: conduction into the gel.
+        chi_gas: conduction in the bubble.
+        fom: ``Fo_m``.
+        foh: ``Fo_h``.
+        heating: ``12 Br/Re``.
+        damping: ``4/Re``, for the time scale of explicit steps.
+        spring: elastic pressure at large strain, for the same.
+    """
+
+    rest_radius: Scalar
+    tension: Scalar
+    slowness: Scalar
+    far: Scalar
+    image: Scalar
+    velocity: Scalar
+    seconds: Scalar
+    gas: Scalar
+    exponent: Scalar
+    vapour: Scalar
+    start: Scalar
+    constant_vapour: Scalar
+    saturation: Scalar
+    chi: Scalar
+    chi_gas: Scalar
+    fom: Scalar
+    foh: Scalar
+    heating: Scalar
+    damping: Scalar
+    spring: Scalar
+
+    @classmethod
+    def of(cls, setting: Setting, theta: Mapping[str, Tensor], conditions: Conditions) -> "Numbers":
+        """The numbers that follow from a setting and dimensionless parameters of the gel."""
+        outer, medium, gas = conditions.surroundings, conditions.medium, conditions.gas
+        kind, speed = conditions.mixture.vapour, outer.velocity_scale
+        rest, size = setting.rest_radius, outer.max_radius(setting.weber)
+        nothing = torch.zeros_like(rest)
+        at_rest = 1.0 + 1.0 / (setting.weber * rest)
+        beside = setting.saturation if gas.vapour else nothing
+        inside = nothing if kind == "absent" else setting.saturation
+        capacity = 1.0 if medium.capacity_of == "gas_wall" else medium.heat_capacity
+        chi = outer.temperature * far_conductivity(conditions) / (outer.far_field_pressure * speed) / size
+        prefactor = SATURATION_PREFACTOR / (outer.far_field_pressure * conditions.saturation)
+        numbers = cls(
+            rest_radius=rest,
+            tension=setting.tension,
+            slowness=setting.slowness,
+            far=setting.far,
+            image=setting.image,
+            velocity=setting.velocity,
+            seconds=outer.time_scale(size),
+            gas=(at_rest - beside) * rest ** (3.0 if gas.reference == "maximum" else 3.0 * setting.exponent),
+            exponent=setting.exponent,
+            vapour=beside,
+            start=(at_rest - inside) * rest**3 + (nothing if kind == "constant" else inside),
+            constant_vapour=inside if kind == "constant" else nothing,
+            saturation=prefactor * setting.saturation if kind == "transported" else nothing,
+            chi=chi,
+            chi_gas=chi * setting.conduction,
+            fom=conditions.mixture.diffusivity / speed / size,
+            foh=medium.conductivity / (outer.density * capacity * speed) / size,
+            heating=12.0 * speed**2 / (capacity * outer.temperature) * theta["mu"] * float(medium.warm),
+            damping=4.0 * theta["mu"],
+            spring=2.0 * theta["G"] * (1.0 + theta["alpha"].abs()) + 2.0 * theta["G_lin"],
+        )
+        return cls(*torch.broadcast_tensors(*numbers))
+
+
 @dataclass(frozen=True)
 class Bubbles:
     """A batch ready to be integrated.
@@ -77,28 +228,22 @@ class Bubbles:
     Args:
         conditions: what the batch was made from.
         constants: what all bubbles share.
+        numbers: what each has of its own.
+        parameters: ``p x B`` tensor, dimensionless, in the order of ``PARAMETERS``.
         terms: the stress terms that act in this batch.
-        names: what the rows of ``numbers`` are.
-        numbers: ``len(names) x B`` tensor.
-        acting: parameters that are not neutral in some member.
-
-    Rows of ``numbers``: ``rest_radius``; ``tension`` (``1/We``); ``slowness`` (``1/c``); ``far`` (pressure afar);
-    ``image`` (strength of a mirror bubble); ``velocity`` (at time zero); ``seconds`` (a unit of time); ``gas`` (pressure of
-    polytropic gas at ``R = 1``), its ``exponent``, and ``vapour`` (constant, beside it); ``start`` (pressure of the
-    transporting mixture at ``R = 1``) and ``constant_vapour`` (beside that); ``saturation`` (prefactor of the saturation
-    pressure); ``chi``, and ``chi_gas`` in the bubble; ``fom``; ``foh``; ``heating``; then all parameters as ``theta.NAME``.
+        effects: the effects with laws of their own that act in this batch.
     """
 
     conditions: Conditions
     constants: Constants
-    terms: tuple[AnyTerm, ...]
-    names: tuple[str, ...]
-    numbers: Tensor
-    acting: frozenset[str]
+    numbers: Numbers
+    parameters: Tensor
+    terms: tuple[StressTerm, ...]
+    effects: tuple[Effect, ...]
 
     @classmethod
     def of(
-        cls, parameters: Tensor, designs: Tensor, conditions: Conditions, terms: Sequence[AnyTerm] | None = None
+        cls, parameters: Tensor, designs: Tensor, conditions: Conditions, terms: Sequence[StressTerm] | None = None
     ) -> "Bubbles":
         """Make a batch dimensionless.
 
@@ -108,28 +253,20 @@ class Bubbles:
             conditions: surroundings, contents and gel.
             terms: stress terms to choose from; all registered ones by default.
         """
-        outer = conditions.surroundings
-        weber, rest = designs[:, 0], designs[:, 1]
-        size = outer.max_radius(weber)
-        theta = dimensionless(parameters, size, outer)
-        numbers = {
-            "rest_radius": rest,
-            "tension": torch.exp(theta["surface_tension"]) / weber,
-            "slowness": torch.exp(-theta["sound_speed"]) * (outer.velocity_scale / outer.sound_speed),
-            "far": 1.0 + theta["far_field_pressure"],
-            "image": theta["wall"],
-            "velocity": theta["residual_velocity"] + conditions.initial_velocity / outer.velocity_scale,
-            "seconds": outer.time_scale(size),
-            **_contents(weber, rest, theta, conditions),
-            **_transport(size, theta, conditions),
-        }
-        names = (*numbers, *(f"theta.{name}" for name in theta))
-        rows = torch.stack(torch.broadcast_tensors(*numbers.values(), *theta.values()))
-        acting = _acting(rows[-len(theta) :])
-        return cls(conditions, Constants.of(conditions), active_terms(theta, terms), names, rows, acting)
+        theta = dimensionless(parameters, conditions.surroundings.max_radius(designs[:, 0]), conditions.surroundings)
+        rows = torch.stack(list(theta.values()))
+        acting = _acting(rows)
+        effects = tuple(e for e in LIBRARY.values() if e.physical and e.names[0] in acting)
+        setting = Setting.of(designs, conditions)
+        for effect in effects:
+            if effect.setting is not None:
+                setting = effect.setting(setting, *(theta[name] for name in effect.names))
+        numbers = Numbers.of(setting, theta, conditions)
+        chosen = tuple(term for term in (TERMS if terms is None else terms) if term.switch in acting)
+        return cls(conditions, Constants.of(conditions), numbers, rows, chosen, effects)
 
     def __len__(self) -> int:
-        return self.numbers.shape[1]
+        return self.parameters.shape[1]
 
     def take(self, members: Tensor) -> "Bubbles":
         """The sub-batch of the members with these indices.
@@ -137,98 +274,52 @@ class Bubbles:
         Terms that none of them has are left out, or a few slow members would pay for everybody's. What has rows of the
         state stays: memory, and gas that is lost.
         """
-        numbers = self.numbers[:, members]
-        acting = _acting(numbers[-len(PARAMETERS) :])
-        terms = tuple(term for term in self.terms if term.switch in acting or remembers(term))
-        return replace(self, numbers=numbers, terms=terms)
-
-    def __getitem__(self, name: str) -> Tensor:
-        return self._rows[name]
-
-    @cached_property
-    def _rows(self) -> dict[str, Tensor]:
-        return dict(zip(self.names, self.numbers, strict=True))
+        parameters = self.parameters[:, members]
+        acting = _acting(parameters)
+        terms = tuple(term for term in self.terms if term.switch in acting or term.states)
+        numbers = Numbers(*(x[members] for x in self.numbers))
+        return replace(self, numbers=numbers, parameters=parameters, terms=terms)
 
     @cached_property
     def theta(self) -> dict[str, Tensor]:
-        """Dimensionless material parameters, each a ``B`` tensor."""
-        return {name: self._rows[f"theta.{name}"] for name in PARAMETERS.names}
+        """Dimensionless parameters, each a ``B`` tensor."""
+        return dict(zip(PARAMETERS.names, self.parameters, strict=True))
 
     @cached_property
     def states(self) -> int:
         """Memory states of the gel a member."""
         return memory_states(self.terms)
 
+    @cached_property
+    def analytic(self) -> bool:
+        """Whether every law that acts is written with :mod:`imr_torch.elementary`, so that a complex step differentiates it."""
+        return all(term.compilable for term in self.terms) and all(effect.compilable for effect in self.effects)
+
     def memory_start(self) -> Tensor:
         """Memory states at time zero, ``K x B``."""
-        return memory_start(self.terms, self["rest_radius"], self.theta)
+        return memory_start(self.terms, self.numbers.rest_radius, self.theta)
 
-    @property
+    def fastest_relaxation(self) -> Tensor:
+        """Rate of each member's fastest memory, a ``B`` tensor; 0 for those without."""
+        rates = [rate for term in self.terms if (rate := term.relaxation_rate(self.theta)) is not None]
+        return torch.stack(rates).amax(0) if rates else torch.zeros_like(self.numbers.rest_radius)
+
+    def arguments(self, effect: Effect) -> list[Tensor]:
+        """The parameters of an effect, each a ``B`` tensor."""
+        return [self.theta[name] for name in effect.names]
+
+    def acting(self, law: str) -> list[Effect]:
+        """The effects that have a law of this name (see :class:`imr_torch.material.Effect`)."""
+        return [effect for effect in self.effects if getattr(effect, law) is not None]
+
+    @cached_property
     def driven(self) -> bool:
         """Whether the pressure afar changes for any member."""
-        return self.conditions.driving is not None or not self.acting.isdisjoint(("sound_field", "pulse"))
-
-    @property
-    def leaking(self) -> bool:
-        """Whether any member loses gas."""
-        return "gas_loss" in self.acting
-
-    @property
-    def trapping(self) -> bool:
-        """Whether any member's vapour lags behind its saturation."""
-        return "condensation" in self.acting
-
-    @property
-    def mirrored(self) -> bool:
-        """Whether any member has a mirror bubble."""
-        return "wall" in self.acting
+        return self.conditions.driving is not None or bool(self.acting("far_field"))
 
 
-def _acting(theta: Tensor) -> frozenset[str]:
+def _acting(parameters: Tensor) -> frozenset[str]:
     """Parameters (rows, ``p x B``) that are not neutral in some member."""
-    moved = (theta != PARAMETERS.neutral(dtype=theta.dtype).to(theta.device)[:, None]).any(1)
+    neutral = PARAMETERS.neutral(dtype=parameters.dtype).to(parameters.device)
+    moved = (parameters != neutral[:, None]).any(1)
     return frozenset(name for name, acts in zip(PARAMETERS.names, moved.tolist(), strict=True) if acts)
-
-
-def _contents(weber: Tensor, rest: Tensor, theta: dict[str, Tensor], conditions: Conditions) -> dict[str, Tensor]:
-    """Pressures inside at the maximum radius, and how the polytropic gas is compressed."""
-    gas, kind = conditions.gas, conditions.mixture.vapour
-    excess = theta["vapour_pressure"]  # beyond saturation
-    saturated = conditions.saturation + excess
-    nothing = torch.zeros_like(weber)
-    at_rest = 1.0 + 1.0 / (weber * rest)
-    beside = saturated if gas.vapour else nothing
-    exponent = _exponent(gas.exponent, conditions.mixture.heat_ratio, theta["heat_exchange"])
-    inside = nothing if kind == "absent" else saturated
-    prefactor = SATURATION_PREFACTOR / conditions.surroundings.far_field_pressure
-    return {
-        "gas": (at_rest - beside) * rest ** (3.0 if gas.reference == "maximum" else 3.0 * exponent),
-        "exponent": exponent,
-        "vapour": beside,
-        "start": (at_rest - inside) * rest**3 + (nothing if kind == "constant" else inside),
-        "constant_vapour": inside if kind == "constant" else nothing,
-        "saturation": prefactor * (1.0 + excess / conditions.saturation) if kind == "transported" else nothing,
-    }
-
-
-def _exponent(base: float, adiabatic: float, exchange: Tensor) -> Tensor:
-    """Polytropic exponent between 1 (isothermal) and the adiabatic one, as the log factor of heat exchange moves it."""
-    share = (base - 1.0) / (adiabatic - 1.0)
-    less = torch.exp(-exchange)
-    moved = 1.0 + (adiabatic - 1.0) * share * less / (1.0 - share + share * less)
-    return torch.where((exchange == 0.0) | (share > 1.0), base, moved)
-
-
-def _transport(size: Tensor, theta: dict[str, Tensor], conditions: Conditions) -> dict[str, Tensor]:
-    """Numbers of heat and mass transport; ``size`` is ``Rmax`` in metres."""
-    outer, medium = conditions.surroundings, conditions.medium
-    speed = outer.velocity_scale
-    capacity = 1.0 if medium.capacity_of == "gas_wall" else medium.heat_capacity
-    chi = outer.temperature * far_conductivity(conditions) / (outer.far_field_pressure * speed) / size
-    return {
-        "chi": chi,
-        "chi_gas": chi * torch.exp(theta["heat_exchange"]),
-        "fom": conditions.mixture.diffusivity / speed / size,
-        "foh": medium.conductivity / (outer.density * capacity * speed) / size,
-        "heating": 12.0 * speed**2 / (capacity * outer.temperature) * theta["mu"] * float(medium.warm),
-    }

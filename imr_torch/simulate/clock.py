@@ -9,6 +9,9 @@ Math. 36, 1913). ``t`` becomes a component of the state.
 import torch
 from torch import Tensor
 
+from imr_torch.elementary import Scalar, sqrt, where
+from imr_torch.simulate.bubbles import Numbers
+
 _REST = 0.3  # keeps g finite where nothing moves: about the frequency of the slow phase near Rmax
 _PRESSURE = 0.5
 _FALL = 0.5
@@ -18,38 +21,43 @@ _STABLE = 2.2  # step * rate that such memory may reach where steps are so long 
 
 
 def time_per_tick(
-    radius: Tensor,
-    velocity: Tensor,
-    acceleration: Tensor,
-    pressure: Tensor,
-    stiffness: Tensor,
-    relaxation: Tensor | None,
-    step: float,
-) -> Tensor:
-    """``g = dt/d tau``: the shortest of the bubble's own time scales, blended smoothly.
+    radius: Scalar,
+    velocity: Scalar,
+    acceleration: Scalar,
+    pressure: Scalar,
+    fading: Scalar,
+    b: Numbers,
+) -> Scalar:
+    """``g = dt/d tau``: the shortest of the bubble's own time scales, blended smoothly; a law of scalars.
 
     Args:
         radius: wall radius.
         velocity: wall velocity ``U``; gives ``R/|U|``.
         acceleration: ``dU/dt``; gives the fall time ``sqrt(R/|U'|)``.
-        pressure: bubble and elastic pressure over ``p_inf``; gives ``R/sqrt(p)``, the period of the gas spring.
-        stiffness: ``4/Re``; gives the viscous time ``R^2 Re/4``.
-        relaxation: rate of the fastest memory of the gel, if it has any.
-        step: length of the steps of ``tau``, which must be stable where memory fades fast.
+        pressure: bubble pressure over ``p_inf``; gives ``R/sqrt(p)`` with the gel's, the period of the gas spring.
+        fading: rate of the fastest memory of the gel times :func:`memory_share`; 0 without memory.
+        b: numbers of the bubble; the gel's damping gives the viscous time ``R^2 Re/4``.
 
     Returns:
-        Tensor of the broadcast shape, dimensionless time per unit of ``tau``.
+        Dimensionless time per unit of ``tau``.
     """
+    fall = radius * acceleration
+    fading = radius * fading
+    viscous = b.damping / radius
     rates = (
         _REST
-        + _PRESSURE * pressure
-        + _FALL * radius * acceleration.abs()
+        + _PRESSURE * (pressure + b.spring)
+        + _FALL * where(fall < 0.0, -fall, fall)
         + velocity * velocity
-        + _VISCOUS * (stiffness / radius) ** 2
+        + _VISCOUS * viscous * viscous
+        + fading * fading
     )
-    if relaxation is not None:
-        rates = rates + (max(_MEMORY, step / _STABLE) * radius * relaxation) ** 2
-    return radius * torch.rsqrt(rates)
+    return radius / sqrt(rates)
+
+
+def memory_share(step: float) -> float:
+    """Weight of the gel's memory: steps of this length must stay stable where memory fades fast."""
+    return max(_MEMORY, step / _STABLE)
 
 
 def interpolate(nodes: Tensor, radius: Tensor, velocity: Tensor, acceleration: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:

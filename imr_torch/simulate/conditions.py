@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
-from torch import Tensor
-
+from imr_torch.elementary import Law
 from imr_torch.errors import InputDataError
 from imr_torch.simulate.driving import Driving
+from imr_torch.simulate.gas import polytropic
 from imr_torch.simulate.radial import KellerMiksis, RadialEquation
 from imr_torch.units import Surroundings
 
@@ -30,7 +30,11 @@ class PolytropicGas:
         reference: where the gas is at the temperature of the surroundings. ``"maximum"``: at the maximum radius, as in
             Estrada et al. (2018), so ``p_g = (1 + 1/(We R_inf*) - p_v) R_inf*^3`` there. ``"rest"``: at ``R_inf``.
         vapour: whether the bubble holds vapour at its saturation pressure.
+
+    A subclass may put another law of the same arguments in place of :func:`imr_torch.simulate.gas.polytropic`.
     """
+
+    law: ClassVar[Law] = staticmethod(polytropic)
 
     exponent: float = 1.3
     reference: Literal["maximum", "rest"] = "maximum"
@@ -43,16 +47,6 @@ class PolytropicGas:
             )
         if self.reference not in ("maximum", "rest"):
             raise InputDataError(f"PolytropicGas.reference is {self.reference!r}; expected 'maximum' or 'rest'.")
-
-    def stiffness(self, exponent: Tensor, pressure: Tensor, vapour_pressure: Tensor) -> Tensor:
-        """``-dp_b/d ln R`` of gas of a polytropic exponent: vapour at constant pressure has none.
-
-        Args:
-            exponent: ``B`` tensor, of each member (an effect may change it).
-            pressure: ``... x B`` tensor, of all contents.
-            vapour_pressure: ``... x B`` tensor.
-        """
-        return 3.0 * exponent * (pressure - vapour_pressure)
 
 
 @dataclass(frozen=True)

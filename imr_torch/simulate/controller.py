@@ -13,8 +13,13 @@ from torch import Tensor
 
 from imr_torch.simulate.rhs import Equations
 
-_SAFETY, _SHRINK, _GROW = 0.8, 0.1, 3.0
-_HEAT_WEIGHT = 0.3
+SAFETY, SHRINK, GROW = 0.8, 0.1, 3.0  # steps change by SAFETY err^(-1/4), within SHRINK and GROW
+HEAT_WEIGHT = 0.3  # of temperatures beside R, U, ln P and vapour
+FIRST_STEP = 1e-3  # of every member
+UNDERFLOW = 1e-14  # step over time below which a member is given up
+RUNAWAY = 3.0  # radius over Rmax that no free oscillation reaches
+REST = 0.3  # keeps a bubble's time scale finite where nothing moves
+PATIENCE = 1.1  # a leader goes on beyond its last time, by so much at most, until its followers arrive
 
 
 @dataclass(frozen=True)
@@ -23,12 +28,10 @@ class Controller:
 
     Args:
         tolerance: relative error allowed in a step.
-        first: first step of every member.
         order: the inverse of the exponent.
     """
 
     tolerance: float
-    first: float = 1e-3
     order: int = 4
 
     def error(self, before: Tensor, after: Tensor, error: Tensor, equations: Equations) -> Tensor:
@@ -52,9 +55,9 @@ class Controller:
                 error[0].abs() / radius,
                 error[1].abs() / speed,
                 error[2].abs(),
-                _HEAT_WEIGHT * _rms(heat) / hottest,
+                HEAT_WEIGHT * _rms(heat) / hottest,
                 _rms(vapour),
-                _HEAT_WEIGHT * _rms(gel) / warmest,
+                HEAT_WEIGHT * _rms(gel) / warmest,
                 *(memory.abs() / (after[len(after) - len(memory) :].abs() + 0.1 * pressure)),
             )
         )
@@ -62,8 +65,8 @@ class Controller:
 
     def factor(self, error: Tensor) -> Tensor:
         """What to multiply the step by."""
-        factor = _SAFETY * error ** (-1.0 / self.order)
-        return torch.where(torch.isfinite(error), factor.clamp(_SHRINK, _GROW), _SHRINK)
+        factor = SAFETY * error ** (-1.0 / self.order)
+        return torch.where(torch.isfinite(error), factor.clamp(SHRINK, GROW), SHRINK)
 
 
 def _rms(values: Tensor) -> Tensor:

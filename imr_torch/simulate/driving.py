@@ -8,20 +8,79 @@ implicit step.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import torch
 from torch import Tensor
 
+from imr_torch.elementary import Law, Scalar, cos, exp, find, sin, where
 from imr_torch.errors import InputDataError
+
+_TURN = 2.0 * math.pi
 
 
 class Driving(Protocol):
-    """Anything that gives ``p_ac`` (Pa) and its first two time derivatives (Pa/s, Pa/s^2) at times in seconds."""
+    """Anything that gives ``p_ac`` (Pa) and its first two time derivatives (Pa/s, Pa/s^2) at times in seconds.
+
+    The compiled engine takes a :class:`LawDriving`; any other one is evaluated on tensors.
+    """
 
     def __call__(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """``time`` of any shape; three tensors of that shape."""
         ...
+
+
+def sine(time: Scalar, values: Scalar, knots: Scalar, cubics: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """``a sin(2 pi f t + phase)`` of ``values`` amplitude, frequency and phase."""
+    rate = _TURN * values[1]
+    angle = rate * time + values[2]
+    value = values[0] * sin(angle)
+    return value, values[0] * rate * cos(angle), -rate * rate * value
+
+
+def gaussian(time: Scalar, values: Scalar, knots: Scalar, cubics: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """``a exp(-((t - centre)/width)^2)`` of ``values`` amplitude, centre and width."""
+    x = (time - values[1]) / values[2]
+    value = values[0] * exp(-x * x)
+    return value, -2.0 * x / values[2] * value, (4.0 * x * x - 2.0) / (values[2] * values[2]) * value
+
+
+def spline(time: Scalar, values: Scalar, knots: Scalar, cubics: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """A cubic a piece (``cubics``, ``4 x n-1``, highest power first) between ``n`` knots, constant outside."""
+    early, late = time < knots[0], time > knots[-1]
+    held = where(early, knots[0], where(late, knots[-1], time))
+    piece = find(knots, held)
+    s = held - knots[piece]
+    a, b, c, d = cubics[0, piece], cubics[1, piece], cubics[2, piece], cubics[3, piece]
+    rate, bend = (3.0 * a * s + 2.0 * b) * s + c, 6.0 * a * s + 2.0 * b
+    outside = early | late
+    return ((a * s + b) * s + c) * s + d, where(outside, 0.0, rate), where(outside, 0.0, bend)
+
+
+class LawDriving:
+    """A driving that is a law of scalars (:mod:`imr_torch.elementary`): ``law(time, values, knots, cubics)``.
+
+    Attributes:
+        law: gives ``p_ac`` and its first two derivatives, SI.
+        values: its numbers; ``knots`` and ``cubics`` a table, one interval of zeros where it needs none.
+    """
+
+    law: ClassVar[Law]
+    knots: Tensor = torch.tensor([0.0, 1.0], dtype=torch.float64)
+    cubics: Tensor = torch.zeros(4, 1, dtype=torch.float64)
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The numbers of the law; none by default."""
+        return ()
+
+    def __call__(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """See :class:`Driving`."""
+        return type(self).law(time, self.values, self.knots.to(time), self.cubics.to(time))
+
+
+DRIVING_LAWS = (sine, gaussian, spline)
+"""The laws that every compiled engine knows."""
 
 
 def _check(kind: object, positive: str = "", finite: str = "") -> None:
@@ -33,7 +92,7 @@ def _check(kind: object, positive: str = "", finite: str = "") -> None:
 
 
 @dataclass(frozen=True)
-class SineDriving:
+class SineDriving(LawDriving):
     """``p_ac = amplitude sin(2 pi frequency t + phase)``.
 
     Args:
@@ -49,16 +108,16 @@ class SineDriving:
     def __post_init__(self) -> None:
         _check(self, positive="frequency", finite="amplitude phase")
 
-    def __call__(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """See :class:`Driving`."""
-        rate = 2.0 * math.pi * self.frequency
-        angle = rate * time + self.phase
-        value = self.amplitude * torch.sin(angle)
-        return value, self.amplitude * rate * torch.cos(angle), -(rate**2) * value
+    law = staticmethod(sine)
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """See :func:`sine`."""
+        return self.amplitude, self.frequency, self.phase
 
 
 @dataclass(frozen=True)
-class GaussianPulse:
+class GaussianPulse(LawDriving):
     """``p_ac = amplitude exp(-((t - centre)/width)^2)``.
 
     Args:
@@ -74,15 +133,16 @@ class GaussianPulse:
     def __post_init__(self) -> None:
         _check(self, positive="width", finite="amplitude centre")
 
-    def __call__(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """See :class:`Driving`."""
-        x = (time - self.centre) / self.width
-        value = self.amplitude * torch.exp(-x * x)
-        return value, -2.0 * x / self.width * value, (4.0 * x * x - 2.0) / self.width**2 * value
+    law = staticmethod(gaussian)
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """See :func:`gaussian`."""
+        return self.amplitude, self.centre, self.width
 
 
 @dataclass(frozen=True)
-class TabulatedDriving:
+class TabulatedDriving(LawDriving):
     """A measured pressure, interpolated by a cubic spline; constant before its first and after its last sample.
 
     Args:
@@ -113,13 +173,14 @@ class TabulatedDriving:
         with torch.inference_mode(False):  # they outlive the solve that asks for them first
             return torch.as_tensor(spline.x), torch.as_tensor(spline.c)
 
-    def __call__(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """See :class:`Driving`."""
-        knots, cubics = (x.to(time) for x in self._pieces)
-        inside = (time >= knots[0]) & (time <= knots[-1])
-        held = time.clamp(knots[0], knots[-1])
-        piece = torch.searchsorted(knots, held.detach().contiguous(), right=True).sub(1).clamp(0, len(knots) - 2)
-        s = held - knots[piece]
-        a, b, c, d = cubics[:, piece].unbind(0)
-        rate, bend = (3.0 * a * s + 2.0 * b) * s + c, 6.0 * a * s + 2.0 * b
-        return ((a * s + b) * s + c) * s + d, torch.where(inside, rate, 0.0), torch.where(inside, bend, 0.0)
+    law = staticmethod(spline)
+
+    @property
+    def knots(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Times of the samples, s."""
+        return self._pieces[0]
+
+    @property
+    def cubics(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The pieces of the spline."""
+        return self._pieces[1]

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, InputDataError, UnsupportedError
 from imr_torch.simulate.conditions import Conditions
+from imr_torch.simulate.engines import on_one_thread
 from imr_torch.simulate.sensitivity import differentiable
 from imr_torch.simulate.simulator import Simulator, Solution, Status, solve_batch, solve_bundles
 from imr_torch.types import Progress
@@ -165,14 +166,16 @@ class _Task:
 
     def __call__(self) -> Arrays:
         """Radius, velocity, pressure, status and steps."""
-        if _here() != self.home:
-            torch.set_num_threads(1)  # workers share the cores, and rounding must not depend on the machine's number
+        simulator = self.simulator
+        if _here() != self.home:  # workers share the cores, and rounding must not depend on the machine's number
+            torch.set_num_threads(1)
+            simulator = on_one_thread(simulator)
         arguments = [torch.tensor(x) for x in self.arrays]
         with torch.no_grad():
             if self.width is None:
-                solution = self.simulator(*arguments)
+                solution = simulator(*arguments)
             else:
-                solution = self.simulator.bundle(*(x.unflatten(0, (-1, self.width)) for x in arguments))
+                solution = simulator.bundle(*(x.unflatten(0, (-1, self.width)) for x in arguments))
         curves = (solution.radius, solution.velocity, solution.bubble_pressure)
         return *(x.reshape(self.arrays[2].shape).numpy() for x in curves), *(
             x.reshape(-1).numpy() for x in (solution.status, solution.steps)

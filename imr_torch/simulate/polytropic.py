@@ -11,12 +11,14 @@ import torch
 from torch import Tensor
 from torchdiffeq import odeint
 
-from imr_torch.material import AnyTerm, remembers
+from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.clock import interpolate, time_per_tick
+from imr_torch.simulate.clock import interpolate, memory_share, time_per_tick
 from imr_torch.simulate.conditions import Conditions, Stepping
+from imr_torch.simulate.engines import Engine, check_engine, compiles
+from imr_torch.simulate.gas import compression_of
 from imr_torch.simulate.simulator import Solution, Status, solve_batch, solve_bundles
-from imr_torch.simulate.wall import Head, acceleration, gel_memory_rate, leak
+from imr_torch.simulate.wall import Head, gas_loss, motion, vapour_factor
 
 _BLOCK = 32  # steps between two looks at who is done
 _BATCH = 2000  # members solved together: larger batches leave the processor's cache
@@ -31,16 +33,24 @@ class PolytropicSimulator:
         conditions: surroundings and gas.
         stepping: how finely time is cut.
         terms: stress terms to choose from; all registered ones by default.
+        engine: ``"compiled"`` or ``"torchdiffeq"``, see :mod:`imr_torch.simulate.engines`; the answers agree to rounding.
+        threads: processor threads of the compiled engine, all cores by default; the answer is the same bit for bit.
     """
 
     conditions: Conditions = field(default_factory=Conditions)
     stepping: Stepping = field(default_factory=Stepping)
-    terms: tuple[AnyTerm, ...] | None = None
+    terms: tuple[StressTerm, ...] | None = None
+    engine: Engine = field(default="compiled", repr=False, compare=False)
+    threads: int | None = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        check_engine(type(self).__name__, self.engine, self.threads)
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
 
-        Gradients are those of the solve itself. What is neutral throughout the batch is left out of it and has a gradient of
+        Where an argument requires a gradient, tensors are integrated and gradients are those of the solve itself. What is
+        neutral throughout the batch is left out of it and has a gradient of
         zero: for the slope at a neutral value use :func:`imr_torch.simulate.sensitivities`.
 
         Raises:
@@ -57,6 +67,11 @@ class PolytropicSimulator:
         """One block of members, bundle after bundle; those whose leader failed are tried again at half the step."""
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
         stepping = self.stepping
+        tracked = torch.is_grad_enabled() and any(x.requires_grad for x in (parameters, designs, times))
+        if not tracked and compiles(self.engine, parameters, self.conditions, self.terms):
+            from imr_torch.simulate.compiled.run import solve_polytropic
+
+            return solve_polytropic(bubbles, self.terms, times, width, stepping, self.threads)
         results = _march(bubbles, times, stepping)
         late = (results[3] == Status.TOO_MANY_STEPS) & (_leaders(results[3], width) == Status.DONE)
         if bool(late.any()):  # followers that needed a little longer than their leader
@@ -109,59 +124,43 @@ def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping) -> tuple[Tensor,
 
 
 def start_of(bubbles: Bubbles) -> Tensor:
-    """The state (R, U, t, memory, and gas left where any member loses some) at time zero, ``(3 + K) x B`` or a row more."""
-    velocity = bubbles["velocity"]
+    """The state (R, U, t, memory, and gas left where an effect takes some) at time zero, ``(3 + K) x B`` or a row more."""
+    velocity = bubbles.numbers.velocity
     one = torch.ones_like(velocity)
     rows = [torch.stack((one, velocity, 0.0 * one)), bubbles.memory_start()]
-    return torch.cat((*rows, one[None]) if bubbles.leaking else rows)
+    return torch.cat((*rows, one[None]) if bubbles.acting("gas_loss") else rows)
 
 
 def head_of(bubbles: Bubbles, state: Tensor) -> Head:
     """What acts on the wall at a state as in :func:`start_of`: a polytropic gas; shapes broadcast with ``B``."""
-    gas = bubbles.conditions.gas
-    radius, velocity, vapour = state[0], state[1], bubbles["vapour"]
-    exponent = bubbles["exponent"]
-    compression = radius ** (-3.0 * exponent)
-    inside = bubbles["gas"] * compression
-    strain, extra = velocity / radius, None
-    if bubbles.leaking:
-        inside = inside * state[3 + bubbles.states]
-        extra = -inside * leak(bubbles, radius, velocity)
-    if bubbles.trapping:
-        trapped = bubbles.theta["condensation"]
-        vapour = vapour * compression**trapped
-        lag = -3.0 * exponent * trapped * vapour * strain
-        extra = lag if extra is None else extra + lag
-    pressure = inside + vapour
-    rate = -gas.stiffness(exponent, pressure, vapour) * strain
-    memory = state[3 : 3 + bubbles.states]
-    return Head(state[2], radius, velocity, pressure, rate if extra is None else rate + extra, memory)
+    numbers, radius, velocity = bubbles.numbers, state[0], state[1]
+    left = state[3 + bubbles.states] if bubbles.acting("gas_loss") else torch.ones_like(radius)
+    compression = compression_of(radius, numbers.exponent)
+    factor, trapped = vapour_factor(bubbles, compression)
+    lost = gas_loss(bubbles, radius, velocity)
+    law = type(bubbles.conditions.gas).law
+    contents = (numbers.gas, numbers.exponent, numbers.vapour)
+    pressure, rate = law(radius, velocity, left, lost, compression, factor, trapped, *contents)
+    return Head(state[2], radius, velocity, pressure, rate, state[3 : 3 + bubbles.states])
 
 
 def rate_of(bubbles: Bubbles, head: Head, state: Tensor) -> Tensor:
     """Time derivative of a state as in :func:`start_of`."""
-    force = acceleration(bubbles, head)
-    rows = [torch.stack((head.velocity, force, torch.ones_like(force)))]
-    if bubbles.states:
-        rows.append(gel_memory_rate(bubbles, head))
-    if bubbles.leaking:
-        rows.append(-state[-1:] * leak(bubbles, head.radius, head.velocity))
-    return torch.cat(rows) if len(rows) > 1 else rows[0]
+    force, memory_rate = motion(bubbles, head)
+    rows = [torch.stack((head.velocity, force, torch.ones_like(force))), memory_rate]
+    if bubbles.acting("gas_loss"):
+        rows.append(-state[-1:] * gas_loss(bubbles, head.radius, head.velocity))
+    return torch.cat(rows)
 
 
 def _field(bubbles: Bubbles, step: float):
     """Right-hand side in stretched time, cut into steps of one length."""
-    theta = bubbles.theta
-    stiffness = 4.0 * theta["mu"]
-    elastic = 2.0 * theta["G"] * (1.0 + theta["alpha"].abs()) + 2.0 * theta["G_lin"]
-    fading = [term.fastest(theta) for term in bubbles.terms if remembers(term)]
-    relaxation = torch.stack(fading).amax(0) if fading else None
+    fading = bubbles.fastest_relaxation() * memory_share(step)
 
     def rate(_: Tensor, state: Tensor) -> Tensor:
         head = head_of(bubbles, state)
-        motion = rate_of(bubbles, head, state)
-        pressure = head.pressure + elastic
-        return motion * time_per_tick(head.radius, head.velocity, motion[1], pressure, stiffness, relaxation, step)
+        rates = rate_of(bubbles, head, state)
+        return rates * time_per_tick(head.radius, head.velocity, rates[1], head.pressure, fading, bubbles.numbers)
 
     return rate
 
@@ -184,8 +183,8 @@ def _read(bubbles: Bubbles, history: Tensor, times: Tensor, status: Tensor) -> t
     nodes = torch.where(good, nodes, reached).cummax(0).values
     state = torch.where(good, history.movedim(1, 0), 0.0)
     state = torch.cat((torch.where(good, radius, 1.0)[None], state[1:2], nodes[None], state[3:]))
-    head = head_of(bubbles, state)
-    at, speed = interpolate(nodes.T.contiguous(), state[0].T, state[1].T, acceleration(bubbles, head).T, times)
+    force = motion(bubbles, head_of(bubbles, state))[0]
+    at, speed = interpolate(nodes.T.contiguous(), state[0].T, state[1].T, force.T, times)
     known = (status == Status.DONE)[:, None] | (times < reached[:, None])
     nan = torch.full_like(times, torch.nan)
     rest = [_linear(nodes.T.contiguous(), row.T, times).T for row in state[3:].unbind(0)]

@@ -104,14 +104,14 @@ def rosenbrock_step(
     moment = torch.zeros_like(step) if time is None else time
     increments_of_time, moments = tableau.ticks
     fields = equations.fields(state, moment)
-    acceleration, jacobian = linearise(equations, fields)
+    known, jacobian = linearise(equations, fields)
     inside, outside = equations.inside.first, equations.outside.first
     shift = 1.0 / (tableau.gamma * step)
     factors = Factors(jacobian, shift, inside[1:, 1:], inside[0, 1:], outside[0, 1:])
     inverse_step = (1.0 / step).repeat(equations.rows, 1)
     inverse_step[3] = 0.0  # tau_w is algebraic
     increments = state.new_empty(len(tableau.stages) + 1, *state.shape)
-    right = equations.rate(fields, acceleration)
+    right = equations.rate(fields, known)
     if driven:
         right[1] += jacobian.velocity_time * step * increments_of_time[0]
     increments[0] = factors.solve(right)
@@ -125,4 +125,4 @@ def rosenbrock_step(
         if driven:
             right[1] += jacobian.velocity_time * step * increments_of_time[i]
         increments[i] = factors.solve(right)
-    return Step(argument + increments[-1], increments[-1], acceleration, fields.rate)
+    return Step(argument + increments[-1], increments[-1], known[0], fields.rate)

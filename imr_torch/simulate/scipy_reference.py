@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, UnsupportedError
-from imr_torch.material import AnyTerm
+from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.grids import Resolution
@@ -71,7 +71,7 @@ class ScipySimulator:
     method: Literal["Radau", "BDF", "LSODA"] = "BDF"
     rtol: float = 1e-6
     atol: float = 1e-8
-    terms: tuple[AnyTerm, ...] | None = None
+    terms: tuple[StressTerm, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.physics not in ("transport", "polytropic"):
@@ -187,4 +187,4 @@ class _Transport:
         return equations.rate(equations.fields(state, torch.full_like(state[0], time)))
 
     def pressure(self, states: Array) -> Array:
-        return np.exp(states[2]) + float(self._equations.bubbles["constant_vapour"])
+        return np.exp(states[2]) + float(self._equations.bubbles.numbers.constant_vapour)

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
-from imr_torch.material import PARAMETERS
+from imr_torch.material import PARAMETERS, TERMS
 from imr_torch.simulate.conditions import Conditions
 
 EARLIEST = -0.5
@@ -230,8 +230,11 @@ def solve_batch(
 
 
 def _explain(status: Tensor, parameters: Tensor) -> Tensor:
-    """Failures that the gel is to blame for: with ``alpha < 0`` its stress at collapse pulls inwards as ``l^-8``."""
-    modulus, stiffening = parameters[:, PARAMETERS.index(["G", "alpha"])].unbind(1)
+    """Failures that the gel is to blame for: where a term's energy has no lower bound, it may pull a collapse inwards."""
+    theta = dict(zip(PARAMETERS.names, parameters.unbind(1), strict=True))
     failed = (status != Status.DONE) & (status != Status.LOST_WORKER)
-    gave_way = failed & (modulus > 0.0) & (stiffening < 0.0)
-    return torch.where(gave_way, int(Status.UNBOUNDED_ENERGY), status)
+    for term in TERMS:
+        if term.unbounded is not None:
+            gave_way = failed & term.unbounded(*(theta[name] for name in term.names))
+            status = torch.where(gave_way, int(Status.UNBOUNDED_ENERGY), status)
+    return status

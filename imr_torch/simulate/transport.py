@@ -1,26 +1,32 @@
-"""The full-physics simulator: Keller-Miksis with heat conduction, evaporation and a warm gel, a batch at a time.
+"""The full-physics simulator: Keller-Miksis with heat conduction, evaporation and a warm gel.
 
 Fields are resolved spectrally (:mod:`~imr_torch.simulate.grids`), time by a linearly implicit method with the exact
-Jacobian (:mod:`~imr_torch.simulate.rosenbrock`) and steps of each member's own (:mod:`~imr_torch.simulate.stream`).
+Jacobian (:mod:`~imr_torch.simulate.rosenbrock`) and steps of each member's own. The compiled engine integrates one bubble
+after the other; on tensors ``torchdiffeq`` integrates the batch (:mod:`~imr_torch.simulate.ode_method`), in blocks of steps
+after which those that are done leave.
 """
 
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
+from torchdiffeq import odeint
 
 from imr_torch.errors import InputDataError
-from imr_torch.material import AnyTerm
+from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
+from imr_torch.simulate.clock import interpolate
 from imr_torch.simulate.conditions import Conditions
-from imr_torch.simulate.controller import Controller
+from imr_torch.simulate.controller import FIRST_STEP, PATIENCE, RUNAWAY, UNDERFLOW
+from imr_torch.simulate.engines import Engine, check_engine, compiles
 from imr_torch.simulate.grids import Resolution
-from imr_torch.simulate.rhs import Equations
+from imr_torch.simulate.ode_method import CONTROL, METHOD, TransportField
 from imr_torch.simulate.sensitivity import differentiable
-from imr_torch.simulate.simulator import Solution, solve_batch, solve_bundles
-from imr_torch.simulate.stream import Stream
+from imr_torch.simulate.simulator import Solution, Status, solve_batch, solve_bundles
 
-_BATCH = 4000  # members whose paths are held in memory together
+_BATCH = 1000  # members integrated together: what leaves early makes no room for others
+_BLOCK = 32  # steps between two looks at who is done
+_RUNNING = -1
 
 
 @dataclass(frozen=True)
@@ -31,19 +37,17 @@ class Accuracy:
         tolerance: relative error of a step.
         resolution: grids inside and outside the bubble.
         max_steps: attempted steps after which a member is given up.
-        slots: members that advance together.
     """
 
     tolerance: float = 3e-4
     resolution: Resolution = field(default_factory=Resolution)
     max_steps: int = 2000
-    slots: int = 500
 
     def __post_init__(self) -> None:
         if not 1e-12 <= self.tolerance <= 1e-1:
             raise InputDataError(f"Accuracy.tolerance is {self.tolerance}; expected 1e-12 to 0.1 (3e-4 is the default).")
-        if self.max_steps < 1 or self.slots < 1:
-            raise InputDataError(f"Accuracy needs max_steps and slots of at least 1, got {self.max_steps} and {self.slots}.")
+        if self.max_steps < 1:
+            raise InputDataError(f"Accuracy.max_steps is {self.max_steps}; expected at least 1.")
 
 
 ACCURACIES = {
@@ -66,11 +70,18 @@ class TransportSimulator:
         conditions: surroundings, contents and gel; see ``PRESETS``.
         accuracy: how finely time and space are cut; see ``ACCURACIES``.
         terms: stress terms to choose from; all registered ones by default.
+        engine: ``"compiled"`` or ``"torchdiffeq"``, see :mod:`imr_torch.simulate.engines`; the answers agree to rounding.
+        threads: processor threads of the compiled engine, all cores by default; the answer is the same bit for bit.
     """
 
     conditions: Conditions = field(default_factory=Conditions)
     accuracy: Accuracy = field(default_factory=Accuracy)
-    terms: tuple[AnyTerm, ...] | None = None
+    terms: tuple[StressTerm, ...] | None = None
+    engine: Engine = field(default="compiled", repr=False, compare=False)
+    threads: int | None = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        check_engine(type(self).__name__, self.engine, self.threads)
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
@@ -94,11 +105,102 @@ class TransportSimulator:
     def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1) -> tuple[Tensor, ...]:
         """One block of members, bundle after bundle: radius, velocity, pressure, status, steps."""
         settings = self.accuracy
-        bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
-        inside, outside = (grid.to(parameters) for grid in settings.resolution.grids())
-        controller = Controller(settings.tolerance)
-        last = times[:, -1].unflatten(0, (-1, width)).amax(1)
-        equations = Equations(bubbles, inside, outside)
-        path = Stream(equations, last, controller, settings.slots, settings.max_steps, width).run()
-        radius, velocity, pressure = path.at(times)
-        return radius, velocity, pressure + bubbles["constant_vapour"][:, None], path.status, path.count
+        if compiles(self.engine, parameters, self.conditions, self.terms):
+            from imr_torch.simulate.compiled.run import solve_transport
+
+            bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
+            limits = (settings.tolerance, settings.max_steps, FIRST_STEP)
+            return solve_transport(bubbles, self.terms, times, width, settings.resolution, limits, self.threads)
+        bubbles = TransportField(
+            parameters,
+            designs,
+            conditions=self.conditions,
+            resolution=settings.resolution,
+            terms=self.terms,
+            width=width,
+        )
+        return _march(bubbles, times, settings)
+
+
+def _march(whole: TransportField, times: Tensor, settings: Accuracy) -> tuple[Tensor, ...]:
+    """Integrate until every bundle is done or given up; radius, velocity, pressure, status, steps."""
+    width = whole.width
+    last = times[:, -1].unflatten(0, (-1, width)).amax(1)
+    state = whole.start()
+    nodes, fresh = [_nodes(whole, state[None])], [torch.ones_like(times[None, :, 0], dtype=torch.bool)]
+    status = torch.full_like(last, _RUNNING, dtype=torch.long)
+    running = torch.arange(len(last), device=last.device)
+    for tried in range(0, settings.max_steps, _BLOCK):
+        members = (running[:, None] * width + torch.arange(width, device=last.device)).flatten()
+        moving = whole if len(members) == len(whole) else whole.take(members)
+        count = min(_BLOCK, settings.max_steps - tried)
+        ticks = torch.arange(count + 1, dtype=times.dtype, device=times.device)
+        path = odeint(moving, state[:, members], ticks, method=METHOD, rtol=settings.tolerance)
+        assert isinstance(path, Tensor)  # a tuple only for tuple states
+        new = nodes[-1][:, -1:].expand(-1, count, -1).clone()
+        new[:, :, members] = _nodes(moving, path[1:])
+        nodes.append(new)
+        accepted = fresh[0].new_zeros(count, len(whole))
+        accepted[:, members] = path[1:, -1] <= 1.0
+        fresh.append(accepted)
+        state[:, members] = path[-1]
+        status[running] = _judge(path.unflatten(2, (-1, width)), last[running])
+        running = torch.nonzero(status == _RUNNING)[:, 0]
+        if not len(running):
+            break
+    status = torch.where(status == _RUNNING, int(Status.TOO_MANY_STEPS), status)
+    path, steps = _accepted(torch.cat(nodes, 1), torch.cat(fresh), last.repeat_interleave(width))
+    vapour = whole.equations.bubbles.numbers.constant_vapour
+    radius, velocity = interpolate(path[0], path[1], path[2], path[3], times)
+    pressure = torch.exp(_cubic(path[0], path[4], path[5], times)) + vapour[:, None]
+    known = times <= path[0, :, -1:]
+    curves = (torch.where(known, values, torch.nan) for values in (radius, velocity, pressure))
+    return *curves, status.repeat_interleave(width), steps[::width].repeat_interleave(width)
+
+
+def _nodes(field: TransportField, path: Tensor) -> Tensor:
+    """What output needs of some states ``n x rows x B``: t, R, U, U', ln P, d ln P/dt, a ``6 x n x B`` tensor."""
+    count, size = path.shape[0], path.shape[2]
+    copies = field.equations if count == 1 else field.equations.take(torch.arange(size, device=path.device).repeat(count))
+    states = path.movedim(0, 1).flatten(1)
+    f = copies.fields(states[:-CONTROL], states[-CONTROL])
+    rates = copies.rate(f)
+    rows = torch.stack((states[-CONTROL], f.radius, f.velocity, rates[1], states[2], rates[2]))
+    return rows.unflatten(1, (count, size))
+
+
+def _judge(path: Tensor, last: Tensor) -> Tensor:
+    """Which bundles are done, and which are given up, after a block of ticks; ``path`` is ``n x rows x bundles x width``."""
+    time, step, error = path[-1, -CONTROL:]
+    leader = time[:, 0]
+    verdict = torch.full_like(last, _RUNNING, dtype=torch.long)
+    stuck = step[:, 0] < UNDERFLOW * (1.0 + leader)
+    verdict[stuck] = int(Status.STEP_UNDERFLOW)
+    verdict[stuck & ~torch.isfinite(error[:, 0])] = int(Status.NON_FINITE)
+    away = (path[:, 0, :, 0] > RUNAWAY) & (path[:, -CONTROL, :, 0] < last)
+    behind = (time < last[:, None]).any(1)  # a follower that failed is not
+    verdict[~behind | (leader >= PATIENCE * last) & (leader >= last)] = int(Status.DONE)
+    verdict[away.any(0)] = int(Status.RUNAWAY)
+    return verdict
+
+
+def _accepted(nodes: Tensor, fresh: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
+    """Nodes of accepted steps only, ``6 x B x n`` with the last repeated, and how many each member took to its last time."""
+    place = fresh.cumsum(0) - 1  # of each node; a rejected step stands where the one before does
+    kept = torch.zeros_like(nodes).scatter(1, place.expand(len(nodes), -1, -1), nodes)
+    count = place[-1]
+    position = torch.minimum(torch.arange(len(fresh), device=count.device)[:, None], count)
+    kept = kept.gather(1, position.expand(len(nodes), -1, -1))[:, : max(2, int(count.max()) + 1)]
+    steps = (fresh & (nodes[0] < last)).sum(0) + (nodes[0, -1] >= last).long()
+    return kept.movedim(1, 2).contiguous(), steps
+
+
+def _cubic(nodes: Tensor, values: Tensor, rates: Tensor, times: Tensor) -> Tensor:
+    """Cubic Hermite interpolation, linear before the first node; see :func:`imr_torch.simulate.clock.interpolate`."""
+    right = torch.searchsorted(nodes, times.contiguous()).clamp(1, nodes.shape[1] - 1)
+    t0, t1, v0, v1, r0, r1 = (x.gather(1, i) for x in (nodes, values, rates) for i in (right - 1, right))
+    h = (t1 - t0).clamp_min(torch.finfo(times.dtype).tiny)
+    s = (times - t0) / h
+    rise, r0, r1 = v1 - v0, r0 * h, r1 * h
+    bend, twist = (torch.where(s < 0.0, 0.0, c) for c in (3.0 * rise - 2.0 * r0 - r1, r0 + r1 - 2.0 * rise))
+    return v0 + s * (r0 + s * (bend + s * twist))

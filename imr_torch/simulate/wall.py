@@ -1,8 +1,8 @@
 """The balance at the bubble wall: pressures of contents, surface, gel and far field put into a radial equation.
 
 ``p_w = p_b - 1/(We R) + S`` in the liquid at the wall, ``p_far = 1 + p_ac`` afar (Estrada et al. 2018, eq. 4). Both simulators
-give ``p_b`` and its rate; everything else that acts on the wall is here, with the exact derivatives that an implicit step
-needs.
+give ``p_b`` and its rate; everything else that acts on the wall is here, for tensors. The compiled engine puts the same laws
+together in :mod:`imr_torch.simulate.compiled`.
 """
 
 from dataclasses import dataclass
@@ -10,11 +10,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from imr_torch.material import Stress, memory_rate, response_slopes, stress_integral
+from imr_torch.material import derivatives, gel_response
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.radial import WallState
-
-_SMOOTH = 0.02  # velocity below which |U| is rounded off
 
 
 @dataclass(frozen=True)
@@ -60,107 +57,111 @@ class HeadSlopes:
     memory_memory: Tensor
 
 
-def acceleration(bubbles: Bubbles, head: Head) -> Tensor:
-    """``U'``, a ``B`` tensor."""
-    return bubbles.conditions.motion.acceleration(_wall_state(bubbles, head, _stress(bubbles, head))[0])
+def motion(bubbles: Bubbles, head: Head) -> tuple[Tensor, Tensor]:
+    """``U'``, a ``B`` tensor, and ``d memory/dt``, ``K x B``."""
+    far, far_rate, _ = far_field(bubbles, head.time)
+    return _motion(bubbles, head, far, far_rate)
 
 
-def gel_memory_rate(bubbles: Bubbles, head: Head) -> Tensor:
-    """``d memory/dt``, ``K x B``."""
-    return memory_rate(bubbles.terms, head.radius, head.velocity, bubbles["rest_radius"], bubbles.theta, head.memory)
+def motion_slopes(bubbles: Bubbles, head: Head) -> tuple[Tensor, Tensor, HeadSlopes]:
+    """``U'``, ``d memory/dt`` and all derivatives."""
+    far, far_rate, far_bend = far_field(bubbles, head.time)
+    acceleration, memory_rate = _motion(bubbles, head, far, far_rate)
 
+    def rows(radius: Tensor, velocity: Tensor, pressure: Tensor, rate: Tensor, beyond: Tensor, *memory: Tensor) -> Tensor:
+        """``U'`` and ``d memory/dt``; ``beyond`` is a time by which the far field moves on."""
+        states = torch.stack(memory) if memory else radius.new_zeros(0, *radius.shape)
+        moved = Head(head.time, radius, velocity, pressure, rate, states)
+        force, changes = _motion(bubbles, moved, far + far_rate * beyond, far_rate + far_bend * beyond)
+        return torch.cat((force[None], changes))
 
-def leak(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> Tensor:
-    """Rate at which gas is lost while ``R < R_inf``, ``-n'/n = eta |U|/R (1 - R/R_inf)^2``, a ``B`` tensor."""
-    depth = (1.0 - radius / bubbles["rest_radius"]).clamp_min(0.0)
-    speed = torch.sqrt(velocity * velocity + _SMOOTH**2) - _SMOOTH
-    return bubbles.theta["gas_loss"] * speed / radius * depth * depth
-
-
-def leak_slopes(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The rate of :func:`leak` and its derivatives in R and U."""
-    rate, rest = bubbles.theta["gas_loss"], bubbles["rest_radius"]
-    root = torch.sqrt(velocity * velocity + _SMOOTH**2)
-    depth = (1.0 - radius / rest).clamp_min(0.0)
-    by_radius = -rate * (root - _SMOOTH) / radius * depth * (depth / radius + 2.0 / rest)
-    return leak(bubbles, radius, velocity), by_radius, rate * velocity / root / radius * depth**2
-
-
-def acceleration_slopes(bubbles: Bubbles, head: Head) -> tuple[Tensor, HeadSlopes]:
-    """``U'`` and all derivatives."""
-    radius, velocity = head.radius, head.velocity
-    state, far_bend = _wall_state(bubbles, head, _stress(bubbles, head))
-    rate, slopes = bubbles.conditions.motion.slopes(state)
-    gel = response_slopes(bubbles.terms, radius, velocity, bubbles["rest_radius"], bubbles.theta, head.memory)
-
-    def through_stress(stress: Stress) -> Tensor:
-        """``U'`` through a change of the stress, of its rate and of its inertia."""
-        change = slopes.pressure * stress.value + slopes.rate * stress.rate
-        return change + slopes.inertia * stress.acceleration if bubbles.conditions.stress_acceleration else change
-
-    tension = bubbles["tension"] / radius**2
-    by_radius = slopes.pressure * tension - slopes.rate * (2.0 * tension * velocity / radius)
-    memory = head.memory  # K = 0 rows unless the gel remembers
-    memory_memory = memory[:, None].expand(-1, memory.shape[0], -1)
-    if gel.memory:
-        memory = torch.stack([through_stress(response.stress) for response in gel.memory])
-        memory_memory = torch.stack([response.memory_rate for response in gel.memory], 1)
-    return rate, HeadSlopes(
-        radius=slopes.radius + by_radius + through_stress(gel.radius.stress),
-        velocity=slopes.velocity + slopes.rate * tension + through_stress(gel.velocity.stress),
-        pressure=slopes.pressure,
-        pressure_rate=slopes.rate,
-        time=slopes.far * state.far_rate + slopes.far_rate * far_bend,
-        memory=memory,
-        memory_radius=gel.radius.memory_rate,
-        memory_velocity=gel.velocity.memory_rate,
-        memory_memory=memory_memory,
+    point = (head.radius, head.velocity, head.pressure, head.pressure_rate, torch.zeros_like(head.radius), *head.memory)
+    slopes = derivatives(rows, point, analytic=bubbles.analytic)
+    by_radius, by_velocity, by_pressure, by_rate, by_time = slopes[:5]
+    by_memory = slopes[5:]  # K x (1 + K) x B
+    return (
+        acceleration,
+        memory_rate,
+        HeadSlopes(
+            radius=by_radius[0],
+            velocity=by_velocity[0],
+            pressure=by_pressure[0],
+            pressure_rate=by_rate[0],
+            time=by_time[0],
+            memory=by_memory[:, 0],
+            memory_radius=by_radius[1:],
+            memory_velocity=by_velocity[1:],
+            memory_memory=by_memory[:, 1:].transpose(0, 1),
+        ),
     )
 
 
-def _stress(bubbles: Bubbles, head: Head) -> Stress:
-    gel = (head.radius, head.velocity, bubbles["rest_radius"], bubbles.theta)
-    return stress_integral(bubbles.terms, *gel, head.memory)
-
-
-def _wall_state(bubbles: Bubbles, head: Head, stress: Stress) -> tuple[WallState, Tensor]:
-    """What the radial equation takes, and the second time derivative of the pressure afar."""
-    tension = bubbles["tension"] / head.radius
-    far, far_rate, far_bend = _far_field(bubbles, head.time)
-    state = WallState(
-        radius=head.radius,
-        velocity=head.velocity,
-        pressure=head.pressure - tension + stress.value,
-        rate=head.pressure_rate + tension * head.velocity / head.radius + stress.rate,
-        inertia=stress.acceleration if bubbles.conditions.stress_acceleration else torch.zeros_like(head.radius),
-        far=far,
-        far_rate=far_rate,
-        slowness=bubbles["slowness"],
-        image=bubbles["image"] if bubbles.mirrored else None,
+def _motion(bubbles: Bubbles, head: Head, far: Tensor, far_rate: Tensor) -> tuple[Tensor, Tensor]:
+    numbers, radius, velocity = bubbles.numbers, head.radius, head.velocity
+    stress, memory_rate = gel_response(bubbles.terms, radius, velocity, numbers.rest_radius, bubbles.theta, head.memory)
+    tension = numbers.tension / radius
+    inertia = stress.acceleration if bubbles.constants.stress_acceleration else torch.zeros_like(stress.acceleration)
+    acceleration = bubbles.conditions.motion.acceleration(
+        radius,
+        velocity,
+        head.pressure - tension + stress.value,
+        head.pressure_rate + tension * velocity / radius + stress.rate,
+        inertia,
+        far,
+        far_rate,
+        numbers.slowness,
+        numbers.image,
     )
-    return state, far_bend
+    return acceleration, memory_rate
 
 
-def _far_field(bubbles: Bubbles, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def gas_loss(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> Tensor:
+    """Relative rate ``-n'/n`` at which gas is lost, by all effects, a ``B`` tensor."""
+    total = torch.zeros_like(radius)
+    for effect in bubbles.acting("gas_loss"):
+        assert effect.gas_loss is not None
+        total = total + effect.gas_loss(radius, velocity, bubbles.numbers.rest_radius, *bubbles.arguments(effect))
+    return total
+
+
+def gas_loss_slopes(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """:func:`gas_loss` and its derivatives in R and U."""
+    lost = gas_loss(bubbles, radius, velocity)
+    if not bubbles.acting("gas_loss"):
+        return lost, lost, lost
+    by_radius, by_velocity = derivatives(lambda r, u: gas_loss(bubbles, r, u), (radius, velocity), analytic=bubbles.analytic)
+    return lost, by_radius, by_velocity
+
+
+def vapour_factor(bubbles: Bubbles, compression: Tensor) -> tuple[Tensor, Tensor]:
+    """Factor on the saturation pressure at a compression of the contents, and its logarithmic derivative; ``B`` tensors."""
+    one = torch.ones_like(compression)
+    effects = bubbles.acting("vapour")
+    if not effects:
+        return one, torch.zeros_like(one)
+
+    def factor(moved: Tensor) -> Tensor:
+        total = torch.ones_like(moved)
+        for effect in effects:
+            assert effect.vapour is not None
+            total = total * effect.vapour(moved, *bubbles.arguments(effect))
+        return total
+
+    value = factor(compression)
+    return value, derivatives(factor, (compression,), analytic=bubbles.analytic)[0] * compression / value
+
+
+def far_field(bubbles: Bubbles, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Pressure afar and its first two time derivatives, dimensionless."""
-    still = torch.zeros_like(bubbles["far"])
-    if not bubbles.driven:
-        return bubbles["far"], still, still
-    value, rate, bend = bubbles["far"], still, still
+    value = bubbles.numbers.far
+    rate = bend = torch.zeros_like(value)
     driving = bubbles.conditions.driving
     if driving is not None:
-        seconds, scale = bubbles["seconds"], 1.0 / bubbles.conditions.surroundings.far_field_pressure
+        seconds, scale = bubbles.numbers.seconds, 1.0 / bubbles.conditions.surroundings.far_field_pressure
         given = driving(time * seconds)
         value, rate, bend = value + given[0] * scale, rate + given[1] * seconds * scale, bend + given[2] * seconds**2 * scale
-    theta = bubbles.theta
-    frequency = torch.exp(theta["sound_frequency"])
-    angle = frequency * time + theta["sound_phase"]
-    swing = theta["sound_field"] * torch.sin(angle)
-    width = torch.exp(theta["pulse_width"])
-    x = (time - theta["pulse_time"]) / width
-    pulse = theta["pulse"] * torch.exp(-x * x)
-    return (
-        value + swing + pulse,
-        rate + theta["sound_field"] * frequency * torch.cos(angle) - 2.0 * x / width * pulse,
-        bend - frequency**2 * swing + (4.0 * x * x - 2.0) / width**2 * pulse,
-    )
+    for effect in bubbles.acting("far_field"):
+        assert effect.far_field is not None
+        more = effect.far_field(time, *bubbles.arguments(effect))
+        value, rate, bend = value + more[0], rate + more[1], bend + more[2]
+    return value, rate, bend

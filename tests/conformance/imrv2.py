@@ -7,14 +7,15 @@ Tait liquid's own sound speed, and a Zener model that lets the elastic stress re
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from imr_torch.elementary import Scalar, power
 from imr_torch.errors import UnsupportedError
-from imr_torch.material import PARAMETERS, Stress
-from imr_torch.material.elastic import NeoHookeanElasticity, StrainStiffening
+from imr_torch.material import PARAMETERS, StressTerm
+from imr_torch.material.elastic import neo_hookean, stiffening
 from imr_torch.simulate import (
     STEPPINGS,
     Accuracy,
@@ -31,6 +32,7 @@ from imr_torch.simulate import (
     Resolution,
     TransportSimulator,
 )
+from imr_torch.simulate.radial import keller_miksis_enthalpy
 from imr_torch.units import Surroundings
 
 PARAMETER_OF = {"mu": "viscosity_pa_s", "G": "shear_modulus_pa", "alpha": "strain_stiffening_coefficient"}
@@ -45,48 +47,76 @@ MODELS = {
 ACCURACY = Accuracy(1e-5, Resolution(28, 32), max_steps=100000)
 
 
+def compressed_vapour(
+    radius: Scalar,
+    velocity: Scalar,
+    left: Scalar,
+    lost: Scalar,
+    compression: Scalar,
+    factor: Scalar,
+    trapped: Scalar,
+    gas: Scalar,
+    exponent: Scalar,
+    vapour: Scalar,
+) -> tuple[Scalar, Scalar]:
+    """The pressure rises as ``-3 kappa p U/R`` with the vapour counted in ``p``."""
+    pressure = gas * compression * left + vapour * factor
+    return pressure, -3.0 * exponent * pressure * velocity / radius
+
+
 @dataclass(frozen=True)
 class CompressedVapour(PolytropicGas):
-    """Its pressure rises as ``-3 kappa p U/R`` with the vapour counted in ``p``."""
-
-    def stiffness(self, exponent: Tensor, pressure: Tensor, vapour_pressure: Tensor) -> Tensor:
-        """See :class:`imr_torch.simulate.PolytropicGas`."""
-        return 3.0 * exponent * pressure
+    law = staticmethod(compressed_vapour)
 
 
-class WholeRateGilmore(Gilmore):
+def whole_rate_gilmore(
+    radius: Scalar,
+    velocity: Scalar,
+    pressure: Scalar,
+    rate: Scalar,
+    inertia: Scalar,
+    far: Scalar,
+    far_rate: Scalar,
+    slowness: Scalar,
+    image: Scalar,
+    exponent: Scalar,
+    stiffness: Scalar,
+) -> Scalar:
     """Without the factor ``1 - U/c`` on the rate of enthalpy."""
+    slower = slowness * power((pressure + stiffness) / (1.0 + stiffness), -0.5 * (1.0 - 1.0 / exponent))
+    state = (radius, velocity, pressure, rate, inertia, far, far_rate)
+    return keller_miksis_enthalpy(*state, slower, image, exponent, stiffness)
 
-    local_rate = False
+
+@dataclass(frozen=True)
+class WholeRateGilmore(Gilmore):
+    law = staticmethod(whole_rate_gilmore)
 
 
-class LaggingZener:
+def lagging_zener(
+    radius: Scalar,
+    velocity: Scalar,
+    rest_radius: Scalar,
+    memory: Scalar,
+    mu: Scalar,
+    G: Scalar,
+    alpha: Scalar,
+    tau: Scalar,
+    retardation: Scalar,
+) -> tuple[Scalar, ...]:
     """``De Z' + Z = R^3 S_e - 4 (1 - s) R^2 U/Re``, ``S = Z/R^3 - 4 s U/(Re R)``; wall inertia of the whole viscosity."""
+    strain = velocity / radius
+    elastic = neo_hookean(radius, velocity, rest_radius, G)[0] + stiffening(radius, velocity, rest_radius, G, alpha)[0]
+    change = (elastic - memory - 4.0 * (1.0 - retardation) * mu * strain) / tau - 3.0 * strain * memory
+    instant = 4.0 * retardation * mu * strain
+    return memory - instant, change + instant * strain, -4.0 * mu / radius, change
 
-    names: ClassVar[tuple[str, ...]] = ("mu", "G", "alpha", "tau", "retardation")
-    switch: ClassVar[str] = "tau"
-    states: ClassVar[int] = 1
 
-    def __call__(
-        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor
-    ) -> Stress:
-        instant = 4.0 * theta["retardation"] * theta["mu"] * velocity / radius
-        rate = self.memory_rate(radius, velocity, rest_radius, theta, memory)[0]
-        return Stress(memory[0] - instant, rate + instant * velocity / radius, -4.0 * theta["mu"] / radius)
+def _fastest(mu: Scalar, G: Scalar, alpha: Scalar, tau: Scalar, retardation: Scalar) -> Scalar:
+    return 1.0 / tau
 
-    def start(self, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Tensor:
-        return torch.zeros_like(rest_radius)[None]
 
-    def memory_rate(
-        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor
-    ) -> Tensor:
-        gel, strain = (radius, velocity, rest_radius, theta), velocity / radius
-        elastic = NeoHookeanElasticity()(*gel).value + StrainStiffening()(*gel).value
-        drive = 4.0 * (1.0 - theta["retardation"]) * theta["mu"] * strain
-        return (elastic - memory - drive) / theta["tau"] - 3.0 * strain * memory
-
-    def fastest(self, theta: Mapping[str, Tensor]) -> Tensor:
-        return 1.0 / theta["tau"]
+LAGGING_ZENER = StressTerm(lagging_zener, switch="tau", states=1, fastest=_fastest)
 
 
 def radius(config: Mapping[str, Any]) -> Tensor:
@@ -103,7 +133,7 @@ def radius(config: Mapping[str, Any]) -> Tensor:
     size = float(config["initial_radius_m"])
     times = torch.as_tensor(config["times_s"], dtype=torch.float64) / outer.time_scale(size)
     designs = torch.tensor([outer.weber(size), config["equilibrium_radius_m"] / size], dtype=torch.float64)
-    terms = (LaggingZener(),) if "tau" in names else None
+    terms = (LAGGING_ZENER,) if "tau" in names else None
     if config["bubble_gas"] == "polytropic":
         simulator = PolytropicSimulator(conditions, STEPPINGS["reference"], terms)
     else:

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from imr_torch.material import PARAMETERS, AnyTerm, Material, Stress, memory_states, remembers
+from imr_torch.material import PARAMETERS, Material, Stress, StressTerm, memory_states
 
 VALUES = {
     "G": 0.08,
@@ -48,10 +48,10 @@ def values_of(model: Material) -> dict[str, float]:
 
 
 def has_memory(model: Material) -> bool:
-    return any(remembers(term) for term in model.terms)
+    return any(term.states for term in model.terms)
 
 
-def memory_of(terms: tuple[AnyTerm, ...] | list[AnyTerm], *shape: int) -> Tensor:
+def memory_of(terms: tuple[StressTerm, ...] | list[StressTerm], *shape: int) -> Tensor:
     """Memory states that are not at rest, different for each row."""
     rows = torch.linspace(-0.03, 0.05, memory_states(terms), dtype=torch.float64)
     return rows.reshape(-1, *[1] * len(shape)).expand(-1, *shape)

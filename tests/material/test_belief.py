@@ -14,6 +14,7 @@ from torch import Tensor
 from imr_torch.errors import InputDataError
 from imr_torch.material import (
     CASES,
+    MATERIALS,
     PARAMETERS,
     Belief,
     LogNormal,
@@ -294,6 +295,25 @@ def test_that_the_wide_prior_spans_what_it_says() -> None:
     low, high = wide_prior()["nhkv"].quantile([0.5 * math.erfc(1 / 2**0.5), 1.0 - 0.5 * math.erfc(1 / 2**0.5)]).tolist()
     assert (low[0], high[0]) == (pytest.approx(1e3), pytest.approx(25e3))
     assert (low[1], high[1]) == (pytest.approx(0.1 / 3.0), pytest.approx(0.3))
+
+
+def test_that_there_is_a_wide_prior_for_every_model_whose_draws_are_possible() -> None:
+    belief = wide_prior(list(MATERIALS), known={"G": 5e3})
+    assert belief.keys == tuple(MATERIALS)
+    assert len(belief.keys) >= 14
+    for part in belief.models:
+        assert part.marginals == tuple(PARAMETERS[name].prior for name in part.names)
+        assert part.known == dict.fromkeys(part.material.known, 5000.0)
+        drawn = part.parameters(part.controls(200, seed=1))
+        for name, values in zip(part.names, drawn[:, PARAMETERS.index(part.names)].mT, strict=True):
+            PARAMETERS.check(name, values)
+            assert float(values.std()) > 0.0
+
+
+def test_that_a_parameter_without_a_prior_is_named() -> None:
+    assert PARAMETERS["damage"].prior is None
+    with pytest.raises(InputDataError, match=r"Parameter 'damage' of model 'nhkv\+damage' has no default prior; register it"):
+        wide_prior(["nhkv", "nhkv+damage"])
 
 
 def document(**changes) -> dict:

@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from torch import Tensor
 
 from imr_torch.material import Stress, material
-from imr_torch.material.departures import Damage, GradedModulus, PermanentSet, YieldStress
+from imr_torch.material.departures import DAMAGE, GRADED_MODULUS, PERMANENT_SET, YIELD_STRESS
 from tests.material.gels import REST, evaluate, tensors
 
 GEL = {"G": 0.08, "alpha": 0.7}
@@ -33,7 +33,7 @@ def test_that_a_graded_gel_is_the_quadrature_of_its_modulus(radius: float) -> No
         return 2.0 * 0.08 * 1.5 * REST**3 / cube * (b**-4 - b**2) / s
 
     expected = quad(integrand, 0.0, 1.0, epsabs=1e-14, epsrel=1e-12)[0]
-    stress = GradedModulus()(*scalars(radius, 0.0, REST), tensors({"G": 0.08, "graded_modulus": 1.5}))
+    stress = GRADED_MODULUS(*scalars(radius, 0.0, REST), tensors({"G": 0.08, "graded_modulus": 1.5}))
     assert float(stress.value) == pytest.approx(expected, rel=1e-9, abs=1e-13)
 
 
@@ -41,18 +41,18 @@ def test_that_a_graded_gel_passes_smoothly_through_its_rest() -> None:
     """Its weight is 0/0 there, which the closed form must not show."""
     edge = torch.tensor([-1e-4, 0.0, 1e-4], dtype=torch.float64)
     stretch = torch.exp(edge[:, None] + 1e-9 * torch.tensor([-1.0, 1.0], dtype=torch.float64))
-    stress = GradedModulus()(stretch, stretch, torch.ones_like(stretch), tensors({"G": 1.0, "graded_modulus": 1.0}))
+    stress = GRADED_MODULUS(stretch, stretch, torch.ones_like(stretch), tensors({"G": 1.0, "graded_modulus": 1.0}))
     jump = (stress.value[:, 1] - stress.value[:, 0]) / 2e-9
     assert float((jump + 2.0).abs().max()) < 1e-2  # dS/d ln l = -2 G g at rest
     assert float((stress.rate[:, 1] - stress.rate[:, 0]).abs().max()) < 1e-6
-    assert float(GradedModulus()(*scalars(1.0, 0.0, 1.0), tensors({"G": 1.0, "graded_modulus": 1.0})).value) == 0.0
+    assert float(GRADED_MODULUS(*scalars(1.0, 0.0, 1.0), tensors({"G": 1.0, "graded_modulus": 1.0})).value) == 0.0
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.4, 1.0])
 def test_that_damage_takes_its_share_of_the_elastic_stress(lost: float) -> None:
     whole = elastic(0.6, -1.2)
     held = torch.tensor([lost], dtype=torch.float64)
-    part = Damage()(*scalars(0.6, -1.2, REST), tensors(GEL | {"damage": 0.3}), held)
+    part = DAMAGE(*scalars(0.6, -1.2, REST), tensors(GEL | {"damage": 0.3}), held)
     assert float(part.value + whole.value) == pytest.approx((1.0 - lost) * float(whole.value), rel=1e-13)
 
 
@@ -66,7 +66,7 @@ def test_that_damage_grows_with_the_path_in_either_direction_and_ends_at_all() -
         (50.0, 1.0, 0.0),
         (0.0, 0.2, 0.0),
     ):
-        rate = Damage().memory_rate(*scalars(0.6, velocity, REST), theta, torch.tensor([held], dtype=torch.float64))
+        rate = DAMAGE.memory_rate(*scalars(0.6, velocity, REST), theta, torch.tensor([held], dtype=torch.float64))
         assert float(rate) == pytest.approx(expected, rel=1e-3, abs=1e-12)
 
 
@@ -75,14 +75,14 @@ def test_that_a_yield_stress_opposes_motion_over_the_sheared_gel(velocity: float
     """``2 int_R^r_y 2 tau_y/(2r) dr = 2 tau_y ln(r_y/R)`` with the shear rate at ``r_y`` a tenth, in units of ``|U|/R = .1``."""
     radius, stress = 0.4, 0.02
     extent = math.log(abs(velocity) / radius / 0.1) / 3.0
-    value = float(YieldStress()(*scalars(radius, velocity, REST), tensors({"yield_stress": stress})).value)
+    value = float(YIELD_STRESS(*scalars(radius, velocity, REST), tensors({"yield_stress": stress})).value)
     assert value == pytest.approx(-math.copysign(2.0 * stress * extent, velocity), rel=0.02)
 
 
 def test_that_a_yield_stress_vanishes_smoothly_at_a_turning_point() -> None:
     velocity = torch.linspace(-1e-3, 1e-3, 5, dtype=torch.float64)
     theta = tensors({"yield_stress": 0.02})
-    values = YieldStress()(torch.full_like(velocity, 0.4), velocity, torch.full_like(velocity, REST), theta).value
+    values = YIELD_STRESS(torch.full_like(velocity, 0.4), velocity, torch.full_like(velocity, REST), theta).value
     assert float(values[2]) == 0.0
     torch.testing.assert_close(values, -values.flip(0), rtol=1e-12, atol=0.0)
     assert float(values.abs().max()) < 1e-6
@@ -91,7 +91,7 @@ def test_that_a_yield_stress_vanishes_smoothly_at_a_turning_point() -> None:
 @RADII
 def test_that_a_set_gel_is_the_gel_referred_to_the_radius_it_was_stretched_to(radius: float) -> None:
     share = 0.1
-    change = PermanentSet()(*scalars(radius, -0.8, REST), tensors(GEL | {"permanent_set": share}))
+    change = PERMANENT_SET(*scalars(radius, -0.8, REST), tensors(GEL | {"permanent_set": share}))
     whole, moved = elastic(radius, -0.8), elastic(radius, -0.8, REST * (1.0 + share * (1.0 / REST - 1.0)))
     for name in ("value", "rate", "acceleration"):
         assert float(getattr(change, name) + getattr(whole, name)) == pytest.approx(

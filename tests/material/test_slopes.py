@@ -1,10 +1,23 @@
-"""Derivatives of the stress terms, which an exact Jacobian of any solver needs."""
+"""Derivatives of the stress terms, which an exact Jacobian of any solver needs, and their laws compiled for numbers."""
 
+import numpy as np
 import pytest
 import torch
 from torch.testing import assert_close
 
-from imr_torch.material import PARAMETERS, TERMS, automatic_slopes, memory_rate, memory_states, remembers, response_slopes
+from imr_torch.elementary import compiled
+from imr_torch.material import (
+    PARAMETERS,
+    TERMS,
+    StressTerm,
+    derivatives,
+    gel_response,
+    memory_rate,
+    memory_states,
+    stress_integral,
+)
+from tests.laws import assert_alike, on_numbers
+from tests.material.gels import REST, STATES, VALUES, memory_of, tensors
 
 THETA = {name: torch.tensor([0.3, 0.7], dtype=torch.float64) for name in PARAMETERS.names}
 POINT = (
@@ -12,61 +25,139 @@ POINT = (
     torch.tensor([-7.0, 0.4], dtype=torch.float64),
     torch.tensor([0.2, 0.15], dtype=torch.float64),
 )
-PLAIN = [term for term in TERMS if not remembers(term)]
-WITH_MEMORY = [term for term in TERMS if remembers(term)]
-NO_MEMORY = torch.zeros(0, 2, dtype=torch.float64)
+EVERY = pytest.mark.parametrize("term", TERMS, ids=lambda term: term.name)
+HELD = torch.tensor([[0.4, -2.0], [1.1, 0.3]], dtype=torch.float64)
 
 
-def name(term):
-    return type(term).__name__
+def rows_of(term: StressTerm, theta=THETA, rest=POINT[2]):
+    """A function of radius, velocity and each memory state: value, rate and acceleration, and the rates of memory."""
+
+    def rows(radius, velocity, *memory):
+        held = torch.stack(memory) if memory else None
+        return torch.stack(term.evaluate(radius, velocity, rest, theta, held))
+
+    return rows
 
 
-def states(term):
-    return torch.tensor([[0.4, -2.0], [1.1, 0.3]], dtype=torch.float64)[: term.states]
+def point_of(term: StressTerm):
+    """Radius, velocity and each memory state."""
+    return (*POINT[:2], *HELD[: term.states])
 
 
-@pytest.mark.parametrize("term", PLAIN, ids=name)
+@EVERY
 def test_slopes_of_every_term_match_automatic_differentiation(term):
-    ours, automatic = response_slopes((term,), *POINT, THETA, NO_MEMORY), automatic_slopes(term, *POINT, THETA)
-    for mine, theirs in ((ours.radius.stress, automatic.radius), (ours.velocity.stress, automatic.velocity)):
-        for entry in ("value", "rate", "acceleration"):
-            assert_close(getattr(mine, entry), getattr(theirs, entry), rtol=1e-12, atol=1e-13)
+    assert term.compilable
+    ours, automatic = (derivatives(rows_of(term), point_of(term), analytic=analytic) for analytic in (True, False))
+    assert ours.shape == (2 + term.states, 3 + term.states, 2)
+    assert_close(ours, automatic, rtol=1e-12, atol=1e-13)
+    assert float(ours.abs().amax()) > 0.0
 
 
-@pytest.mark.parametrize("term", PLAIN, ids=name)
-def test_the_rate_of_every_term_is_the_chain_rule_of_its_value(term):
-    stress, slopes = term(*POINT, THETA), automatic_slopes(term, *POINT, THETA)
-    assert_close(stress.rate, slopes.radius.value * POINT[1], rtol=1e-9, atol=1e-13)
-    assert_close(stress.acceleration, slopes.velocity.value, rtol=1e-9, atol=1e-13)
+@EVERY
+@pytest.mark.parametrize(("radius", "velocity"), STATES)
+def test_so_they_do_at_rest_and_where_other_members_have_the_term(term, radius, velocity):
+    """Where laws change their form: no velocity, no strain; and a member that is switched off beside one that is not."""
+    on, off = tensors(VALUES), tensors(VALUES | {term.switch: 0.0})
+    theta = {name: torch.stack((on[name], off[name])) for name in on}
+    rest = torch.full((2,), REST, dtype=torch.float64)
+    point = [torch.full_like(rest, x) for x in (radius, velocity)] + list(memory_of([term], 2).contiguous())
+    ours, automatic = (derivatives(rows_of(term, theta, rest), tuple(point), analytic=a) for a in (True, False))
+    assert bool(torch.isfinite(ours).all())
+    assert_close(ours, automatic, rtol=1e-11, atol=1e-13)
 
 
-@pytest.mark.parametrize("term", WITH_MEMORY, ids=name)
-def test_the_rate_of_a_term_with_memory_is_the_chain_rule_through_its_memory(term):
-    memory = states(term)
-    stress = term(*POINT, THETA, memory)
-    slopes = response_slopes((term,), *POINT, THETA, memory)
-    through = slopes.radius.stress.value * POINT[1]
-    for part, rate in zip(slopes.memory, term.memory_rate(*POINT, THETA, memory), strict=True):
-        through = through + part.stress.value * rate
-    assert_close(stress.rate, through, rtol=1e-12, atol=1e-13)
-    assert_close(stress.acceleration, slopes.velocity.stress.value, rtol=1e-12, atol=1e-13)
+@EVERY
+def test_the_rate_of_every_term_is_the_chain_rule_of_its_value_through_its_memory(term):
+    value, rate, acceleration, *changes = rows_of(term)(*point_of(term))
+    by_radius, by_velocity, *by_memory = derivatives(rows_of(term), point_of(term), analytic=True)[:, 0]
+    through = by_radius * POINT[1]
+    for slope, change in zip(by_memory, changes, strict=True):
+        through = through + slope * change
+    assert_close(rate, through, rtol=1e-12, atol=1e-13)
+    assert_close(acceleration, by_velocity, rtol=1e-12, atol=1e-13)
+    assert bool((value != 0.0).all())
 
 
 def test_slopes_in_memory_match_finite_differences_with_several_terms_at_once():
     memory = torch.tensor([[0.4, -2.0], [1.1, 0.3], [0.2, 0.6], [-0.3, 0.9], [0.8, -0.1], [0.3, 0.7]], dtype=torch.float64)
-    slopes = response_slopes(TERMS, *POINT, THETA, memory)
-    assert len(slopes.memory) == len(memory) == memory_states(TERMS)
-    for j, part in enumerate(slopes.memory):
+
+    def rates(*moved):
+        return gel_response(TERMS, *POINT, THETA, torch.stack(moved))[1]
+
+    slopes = derivatives(rates, tuple(memory), analytic=True)
+    assert len(slopes) == len(memory) == memory_states(TERMS)
+    for j, part in enumerate(slopes):
         change = torch.zeros_like(memory)
         change[j] = 1e-6
         ends = [memory_rate(TERMS, *POINT, THETA, memory + sign * change) for sign in (1, -1)]
-        assert_close(part.memory_rate, (ends[0] - ends[1]) / 2e-6, rtol=1e-7, atol=1e-7)
+        assert_close(part, (ends[0] - ends[1]) / 2e-6, rtol=1e-7, atol=1e-7)
 
 
-def test_a_term_without_slopes_is_differentiated_automatically():
-    class Bare:
-        names, switch = ("mu",), "mu"
-        __call__ = type(TERMS[0]).__call__
+def tanh_drag(radius, velocity, rest_radius, mu):
+    """Written with a function that only tensors have: ``-4 mu tanh(U)/R``."""
+    factor = -4.0 * mu / radius
+    direction = torch.tanh(velocity)
+    return factor * direction, -factor * direction * velocity / radius, factor * (1.0 - direction * direction)
 
-    mine, theirs = (response_slopes(terms, *POINT, THETA, NO_MEMORY) for terms in ((Bare(),), TERMS[:1]))
-    assert_close(mine.radius.stress.rate, theirs.radius.stress.rate, rtol=1e-12, atol=0.0)
+
+def test_a_term_that_only_tensors_can_evaluate_is_differentiated_automatically():
+    term = StressTerm(tanh_drag, switch="mu")
+    assert not term.compilable
+    by_radius, by_velocity = derivatives(rows_of(term), point_of(term), analytic=False)
+    stress = stress_integral((term,), *POINT, THETA)
+    assert_close(by_radius[0] * POINT[1], stress.rate, rtol=1e-12, atol=1e-13)
+    assert_close(by_velocity[0], stress.acceleration, rtol=1e-12, atol=1e-13)
+
+
+# ---------------------------------------------------------------- compiled
+
+
+def arguments_at(term: StressTerm, radius: float, velocity: float, values: dict[str, float]) -> list[float]:
+    memory = np.linspace(-0.03, 0.05, term.states).tolist()
+    return [radius, velocity, REST, *memory, *(values[name] for name in term.names)]
+
+
+@EVERY
+@pytest.mark.parametrize("switched", ["on", "off"])
+def test_the_compiled_law_of_every_term_is_its_law_and_has_its_slopes(term, switched):
+    """At all states, in all arguments of the motion and of memory; parameters are plain numbers."""
+    values = VALUES if switched == "on" else VALUES | {term.switch: 0.0}
+    moving = [0, 1, *range(3, 3 + term.states)]
+    found = [assert_alike(term.law, arguments_at(term, *state, values), moving) for state in STATES]
+    assert float(torch.stack(found)[:, 0].abs().amax()) > 0.0 or switched == "off"
+
+
+@EVERY
+def test_the_compiled_start_and_fastest_rate_of_every_term_are_its_own(term):
+    for values in (VALUES, VALUES | {term.switch: 0.0}):
+        parameters = [values[name] for name in term.names]
+        if term.start is not None:
+            assert_alike(term.start, [REST, *parameters], [0])
+        if term.fastest is not None:
+            assert_alike(term.fastest, parameters, [0], slopes=False)
+
+
+@EVERY
+def test_a_wrong_sign_anywhere_in_a_compiled_law_would_be_noticed(term):
+    """In any result that is not zero, and in any slope: the comparison above is not an empty one."""
+    law, moving = compiled(term.law), [0, 1, *range(3, 3 + term.states)]
+    arguments = arguments_at(term, *STATES[1], VALUES)
+    values = assert_alike(term.law, arguments, moving)
+    assert float(values[0]) != 0.0
+    for entry in torch.nonzero(values)[:, 0].tolist():
+
+        def wrong(*given, entry=entry):
+            results = list(law(*given))
+            results[entry] = -results[entry]
+            return tuple(results)
+
+        def bent(*given, entry=entry):
+            results = list(law(*given))
+            results[entry] = np.conj(results[entry])
+            return tuple(results)
+
+        with pytest.raises(AssertionError, match="Not equal to tolerance"):
+            assert_alike(term.law, arguments, moving, numbers=wrong)
+        if any(on_numbers(law, arguments, moving, along)[entry] != 0.0 for along in moving):
+            with pytest.raises(AssertionError, match="Not equal to tolerance"):
+                assert_alike(term.law, arguments, moving, numbers=bent)

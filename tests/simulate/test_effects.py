@@ -213,7 +213,7 @@ def test_that_heat_exchange_leads_from_adiabatic_to_isothermal(factor: float, ex
     errors = (radius - expected).abs().amax(1).tolist()
     assert errors[0] > 2.0 * errors[1] > 4.0 * errors[2]
     assert errors[2] < 5e-3
-    exponents = Bubbles.of(steps, DESIGN.expand(3, 2), Conditions())["exponent"]
+    exponents = Bubbles.of(steps, DESIGN.expand(3, 2), Conditions()).numbers.exponent
     assert float(exponents[0]) == 1.3
     assert float(exponents[2]) == pytest.approx(exponent, abs=4e-3)
     assert bool((exponents.diff() * (exponent - 1.3) > 0.0).all())

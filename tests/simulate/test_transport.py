@@ -89,7 +89,7 @@ def test_velocity_is_the_slope_of_the_radius_and_pressure_peaks_at_collapse():
 def test_an_equilibrium_bubble_stays_put(conditions):
     parameters = PARAMETERS.pack({"G": 5e3, "mu": 0.1, "alpha": 0.5}).expand(1, -1)
     equations = Equations(Bubbles.of(parameters, DESIGN[None], conditions), *Resolution().grids())
-    pressure = 1.0 + 1.0 / (DESIGN[0] * DESIGN[1]) - equations.bubbles["constant_vapour"]
+    pressure = 1.0 + 1.0 / (DESIGN[0] * DESIGN[1]) - equations.bubbles.numbers.constant_vapour
     state = equations.start()
     state[0], state[2] = DESIGN[1], pressure.log()
     wall = equations.fields(state).wall.vapour
@@ -126,8 +126,8 @@ def air(equations, state):
 
     quadrature = (0.5 * weights * fine**2) @ basis(fine) @ np.linalg.inv(basis(y))
     vapour = torch.cat((f.wall.vapour[None], state[HEAD + n : HEAD + 2 * n]))
-    mixture = torch.cat((f.wall.mixture[None], f.mixture))
-    temperature = torch.cat((f.wall.temperature[None], f.temperature))
+    mixture = torch.cat((f.wall.mixture[None], f.node.mixture))
+    temperature = torch.cat((f.wall.temperature[None], f.node.temperature))
     density = ((1.0 - vapour) * f.pressure / (mixture * temperature) * f.radius**3)[:, 0].numpy()
     return float(quadrature @ density)
 

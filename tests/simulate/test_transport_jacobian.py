@@ -89,8 +89,11 @@ def assert_bordered_solve_is_dense(equations, vapour=True):
     shift, time = torch.tensor([[1e2, 1e3, 1e1], [0.3, 0.7, 1.1]], dtype=torch.float64)
     inside, outside = equations.inside.first, equations.outside.first
     fields = equations.fields(state, time)
-    acceleration, jacobian = linearise(equations, fields)
-    assert torch.equal(acceleration, equations.rate(fields)[1])
+    known, jacobian = linearise(equations, fields)
+    rate = equations.rate(fields)
+    assert torch.equal(known[0], rate[1])
+    assert torch.equal(known[1], rate[len(state) - equations.memory :])
+    assert torch.equal(equations.rate(fields, known), rate)
     right = torch.randn(state.shape, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
     solution = Factors(jacobian, shift, inside[1:, 1:], inside[0, 1:], outside[0, 1:]).solve(right)
     mass = torch.ones(len(state), dtype=torch.float64)

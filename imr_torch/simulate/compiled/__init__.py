@@ -1,0 +1,7 @@
+"""The compiled engine: one bubble after the other in machine code, written once with the tensor engine's laws.
+
+:mod:`~imr_torch.simulate.compiled.run` takes tensors and gives tensors; :mod:`~imr_torch.simulate.compiled.build` compiles and
+keeps the code; :mod:`~imr_torch.simulate.compiled.transport` and :mod:`~imr_torch.simulate.compiled.polytropic` integrate;
+:mod:`~imr_torch.simulate.compiled.wall` balances the wall and :mod:`~imr_torch.simulate.compiled.output` fills in the output.
+``python -m imr_torch.simulate.compiled`` compiles everything ahead.
+"""

@@ -1,0 +1,285 @@
+"""From laws to compiled code: what is compiled, where it is kept, and when it is compiled anew.
+
+The laws of all registries (stress terms, effects, radial equations, gas laws, drivings) are put into one small generated
+module beside the entry points of the engine; Numba compiles it once and keeps the machine code next to it. The folder is named
+by a hash of the code of the engine and of every law, and of the versions of Python, Numba and NumPy; Numba itself tells
+processors apart. So code of another version is never used, a killed compilation leaves files that nobody reads, and a
+read-only installation works, since the folder is in the user's cache (``IMR_TORCH_CACHE`` names another).
+"""
+
+import builtins
+import functools
+import hashlib
+import importlib.util
+import inspect
+import os
+import sys
+import tempfile
+import time
+import types
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+import numpy as np
+
+from imr_torch import elementary
+from imr_torch.elementary import Law
+from imr_torch.files import write_atomically
+from imr_torch.material import PARAMETERS, Effect, StressTerm
+from imr_torch.simulate import contents
+from imr_torch.simulate.bubbles import Constants, Numbers
+from imr_torch.simulate.compiled import laws, polytropic, transport
+
+_FIELDS = tuple(
+    dict.fromkeys(
+        name
+        for kind in (Constants, Numbers, *(x for x in vars(contents).values() if hasattr(x, "_fields")))
+        for name in kind._fields
+    )
+)
+
+
+@dataclass(frozen=True)
+class Registry:
+    """All laws that one compiled engine knows.
+
+    Args:
+        terms: stress terms.
+        effects: effects with laws that act at every step.
+        radial: laws of radial equations.
+        gases: laws of polytropic gas.
+        drivings: laws of drivings.
+    """
+
+    terms: tuple[StressTerm, ...]
+    effects: tuple[Effect, ...]
+    radial: tuple[Law, ...]
+    gases: tuple[Law, ...]
+    drivings: tuple[Law, ...]
+
+    def laws(self) -> Iterator[Law]:
+        """Every law, in order."""
+        for term in self.terms:
+            yield from (law for law in (term.law, term.start, term.fastest) if law is not None)
+        for effect in self.effects:
+            yield from (law for law in (effect.gas_loss, effect.vapour, effect.far_field) if law is not None)
+        yield from (*self.radial, *self.gases, *self.drivings)
+
+
+@functools.cache
+def engine(registry: Registry) -> types.ModuleType:
+    """The compiled module of a registry, with ``solve_transport`` and ``solve_polytropic``."""
+    folder = _folder(registry)
+    path, text = folder / "engine.py", source(registry)
+    if not path.exists() or path.read_text() != text:
+        write_atomically(path, lambda stream: stream.write(text.encode()))
+    spec = importlib.util.spec_from_file_location(f"imr_torch_engine_{folder.name}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    vars(module).update({name: elementary.compiled(law) for name, law in _names(registry)})
+    sys.modules[spec.name] = module  # where Numba looks for the module of a function that it reads from its cache
+    spec.loader.exec_module(module)
+    bound: dict[Any, Any] = {}
+    for name, function in (("solve_transport", transport.solve_block), ("solve_polytropic", polytropic.solve_block)):
+        code = function.__code__.replace(co_filename=str(path), co_qualname=name)  # beside which Numba keeps what it compiled
+        entry = types.FunctionType(code, _scope(function, module, bound), name)
+        vars(module)[name] = elementary.kernel(entry, cache=True)
+    return module
+
+
+def _bound(function: Any, module: types.ModuleType, bound: dict[Any, Any]) -> Any:
+    """A function of the engine compiled with the laws of a module, and all that it calls."""
+    if function not in bound:
+        scope = _scope(function, module, bound)
+        inline = "source" if function is transport.solve_bundle else "machine"
+        bound[function] = elementary.kernel(types.FunctionType(function.__code__, scope, function.__name__), inline=inline)
+    return bound[function]
+
+
+def _scope(function: Any, module: types.ModuleType, bound: dict[Any, Any]) -> dict[str, Any]:
+    """The globals of a function of the engine: laws of a module in place of their declarations, and all else compiled."""
+    scope: dict[str, Any] = {"__builtins__": builtins, "__name__": __name__}
+    for name in elementary.names_in(function)[0]:
+        value = function.__globals__.get(name)
+        if value is laws:
+            value = module
+        elif isinstance(value, types.FunctionType):
+            own = value.__module__.startswith(laws.__name__.rpartition(".")[0])
+            value = _bound(value, module, bound) if own else elementary.compiled(value, _FIELDS)
+        if value is not None:
+            scope[name] = value
+    return scope
+
+
+def is_cached(module: types.ModuleType, entry: str) -> bool:
+    """Whether an entry point of an engine seems to be compiled already."""
+    assert module.__file__ is not None
+    return any((Path(module.__file__).parent / "__pycache__").glob(f"engine.{entry}-*.nbc"))
+
+
+def announced(module: types.ModuleType, entry: str, arguments: Sequence[Any]) -> Any:
+    """Call an entry point; where it has to be compiled first, say so and how long it took."""
+    function = getattr(module, entry)
+    if function.signatures or is_cached(module, entry):
+        return function(*arguments)
+    print(f"imr_torch: compiling {entry} (once on this machine, about half a minute) ...", file=sys.stderr, flush=True)
+    begin = time.perf_counter()
+    result = function(*arguments)
+    print(f"imr_torch: compiled {entry} in {time.perf_counter() - begin:.0f} s", file=sys.stderr, flush=True)
+    return result
+
+
+def _names(registry: Registry) -> Iterator[tuple[str, Law]]:
+    """The name of each law in the generated module."""
+    for i, term in enumerate(registry.terms):
+        yield from ((f"{kind}_{i}", law) for kind in ("law", "start", "fastest") if (law := getattr(term, kind)) is not None)
+    for i, effect in enumerate(registry.effects):
+        kinds = ("gas_loss", "vapour", "far_field")
+        yield from ((f"{kind}_{i}", law) for kind in kinds if (law := getattr(effect, kind)) is not None)
+    for kind, group in (("radial", registry.radial), ("gas", registry.gases), ("driving", registry.drivings)):
+        yield from ((f"{kind}_{i}", law) for i, law in enumerate(group))
+
+
+def source(registry: Registry) -> str:
+    """The text of the generated module."""
+    parts = [
+        _HEAD,
+        _stress(registry.terms),
+        _memory(registry.terms),
+        _effects(registry.effects),
+        _choice("radial", registry.radial, 9),
+        _choice("gas", registry.gases),
+        _choice("driving", registry.drivings),
+        _numbers(),
+    ]
+    return "\n\n\n".join(parts) + "\n"
+
+
+_HEAD = '''"""Generated by imr_torch from the laws of its registries; made anew whenever they change."""
+
+from imr_torch.elementary import kernel
+from imr_torch.simulate.bubbles import Numbers'''
+
+
+def _columns(names: Sequence[str]) -> str:
+    return "".join(f", theta[{i}]" for i in PARAMETERS.index(list(names)))
+
+
+def _stress(terms: Sequence[StressTerm]) -> str:
+    """The sum of the terms that act, and the rates of their memory."""
+    lines = ["@kernel", "def stress(radius, velocity, rest_radius, on, theta, memory, rates):"]
+    lines += ["    value = 0.0 * radius", "    rate = value", "    acceleration = value", "    k = 0"]
+    for i, term in enumerate(terms):
+        states = "".join(f", memory[k + {j}]" for j in range(term.states))
+        changes = "".join(f", z{j}" for j in range(term.states))
+        lines += [
+            f"    if on[{i}]:  # {term.name}",
+            f"        v, r, a{changes} = law_{i}(radius, velocity, rest_radius{states}{_columns(term.names)})",
+            "        value += v",
+            "        rate += r",
+            "        acceleration += a",
+        ]
+        lines += [f"        rates[k + {j}] = z{j}" for j in range(term.states)]
+        lines += [f"        k += {term.states}"] if term.states else []
+    return "\n".join([*lines, "    return value, rate, acceleration"])
+
+
+def _memory(terms: Sequence[StressTerm]) -> str:
+    """How many memory states act, where they start, and how fast they fade."""
+    count = ["@kernel", "def states(on):", "    k = 0"]
+    begin = ["@kernel", "def start(rest_radius, on, theta, memory):", "    k = 0"]
+    fade = ["@kernel", "def fastest(on, theta):", "    rate = 0.0"]
+    for i, term in enumerate(terms):
+        if not term.states:
+            continue
+        count += [f"    k += {term.states} * int(on[{i}])"]
+        begin += [f"    if on[{i}]:"]
+        if term.start is None:
+            begin += [f"        memory[k + {j}] = 0.0" for j in range(term.states)]
+        else:
+            names = "".join(f"z{j}, " for j in range(term.states))
+            begin += [f"        {names[:-1]} = start_{i}(rest_radius{_columns(term.names)})"]
+            begin += [f"        memory[k + {j}] = z{j}" for j in range(term.states)]
+        begin += [f"        k += {term.states}"]
+        if term.fastest is not None:
+            arguments = _columns(term.names)[2:]
+            fade += [f"    if on[{i}]:", f"        rate = max(rate, fastest_{i}({arguments}))"]
+    return "\n\n\n".join("\n".join(x) for x in ([*count, "    return k"], begin, [*fade, "    return rate"]))
+
+
+def _effects(effects: Sequence[Effect]) -> str:
+    """The laws of effects, each kind put together; and whether any of a kind acts."""
+    kinds: dict[str, tuple[str, str, str, str]] = {
+        "gas_loss": ("loses", "radius, velocity, rest_radius", "0.0 * radius", "+"),
+        "vapour": ("traps", "compression", "1.0 + 0.0 * compression", "*"),
+        "far_field": ("drives", "time", "(0.0, 0.0, 0.0)", "+"),
+    }
+    functions = []
+    for kind, (asks, arguments, nothing, operator) in kinds.items():
+        chosen = [(i, effect) for i, effect in enumerate(effects) if getattr(effect, kind) is not None]
+        any_on = " or ".join(f"on[{i}]" for i, _ in chosen) or "False"
+        functions.append(f"@kernel\ndef {asks}(on):\n    return bool({any_on})")
+        lines = ["@kernel", f"def {kind}({arguments}, on, theta):", f"    total = {nothing}"]
+        for i, effect in chosen:
+            call = f"{kind}_{i}({arguments}{_columns(effect.names)})"
+            lines += [f"    if on[{i}]:  # {effect.name}"]
+            if kind == "far_field":
+                lines += [f"        v, r, a = {call}", "        total = (total[0] + v, total[1] + r, total[2] + a)"]
+            else:
+                lines += [f"        total = total {operator} {call}"]
+        functions.append("\n".join([*lines, "    return total"]))
+    return "\n\n\n".join(functions)
+
+
+def _choice(kind: str, laws: Sequence[Law], shared: int = 0) -> str:
+    """One function that calls the law of a number; its arguments after the first ``shared`` come out of one array."""
+    signatures = [tuple(inspect.signature(law).parameters) for law in laws]
+    common = signatures[0][:shared] if shared else signatures[0]
+    arguments = ", ".join(common)
+    calls = [f"{kind}_{i}({arguments}{_entries(len(own) - len(common))})" for i, own in enumerate(signatures)]
+    lines = ["@kernel", f"def {kind}(kind, {arguments}{', constants' if shared else ''}):"]
+    for i, (law, call) in enumerate(zip(laws[:-1], calls[:-1], strict=True)):
+        lines += [f"    if kind == {i}:  # {law.__qualname__}", f"        return {call}"]
+    return "\n".join([*lines, f"    return {calls[-1]}"])
+
+
+def _entries(count: int) -> str:
+    return "".join(f", constants[{j}]" for j in range(count))
+
+
+def _numbers() -> str:
+    values = ", ".join(f"row[{i}]" for i in range(len(Numbers._fields)))
+    return f"@kernel\ndef numbers(row):\n    return Numbers({values})"
+
+
+def _folder(registry: Registry) -> Path:
+    """Where the code of a registry is kept; made if need be."""
+    root = os.environ.get("IMR_TORCH_CACHE")
+    if root is None:
+        home = os.environ.get("LOCALAPPDATA") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        root = Path(home) / "imr_torch"
+    folder = Path(root) / _hash(registry)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError:
+        print(f"imr_torch: {folder} cannot be written, so compiled code is not kept; set IMR_TORCH_CACHE.", file=sys.stderr)
+        return Path(tempfile.mkdtemp(prefix="imr_torch_"))
+
+
+def _hash(registry: Registry) -> str:
+    """What the compiled code depends on."""
+    digest = hashlib.sha256()
+    for version in (sys.version, numba.__version__, llvmlite.__version__, np.__version__):
+        digest.update(version.encode())
+    for function in (transport.solve_block, polytropic.solve_block, *registry.laws()):
+        for part in elementary.code_of(function):
+            digest.update(part)
+    digest.update(source(registry).encode())
+    return digest.hexdigest()[:20]

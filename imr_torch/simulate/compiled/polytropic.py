@@ -1,0 +1,185 @@
+"""One bubble of polytropic gas, and a bundle of them, integrated by compiled code.
+
+The same method as the tensor engine (:mod:`imr_torch.simulate.polytropic`): the classical Runge-Kutta method with fixed steps
+of a stretched time (:mod:`imr_torch.simulate.clock`), tried again with half the step where a leader fails. Functions here are
+compiled by :mod:`imr_torch.simulate.compiled.build`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from imr_torch.simulate.clock import time_per_tick
+from imr_torch.simulate.compiled import laws
+from imr_torch.simulate.compiled.output import ACCELERATION, RADIUS, TIME, VELOCITY, fill
+from imr_torch.simulate.compiled.wall import gas_loss, member_of, motion, setup_of, vapour_factor
+from imr_torch.simulate.controller import RUNAWAY
+from imr_torch.simulate.gas import compression_of
+from imr_torch.simulate.simulator import Status
+
+_DONE, _TOO_MANY, _NON_FINITE = int(Status.DONE), int(Status.TOO_MANY_STEPS), int(Status.NON_FINITE)
+_RUNAWAY = int(Status.RUNAWAY)
+_HEAD = 3  # R, U, t, then memory, then gas left
+
+
+class Work(NamedTuple):
+    """Arrays for one bubble: its state, that of a stage, the rates of four stages, and the last two nodes of its path."""
+
+    state: np.ndarray
+    stage: np.ndarray
+    rates: np.ndarray
+    nodes: np.ndarray
+
+
+def work_for(states: int) -> tuple[np.ndarray, ...]:
+    """The entries of :class:`Work` for so many memory states."""
+    size = _HEAD + states + 1
+    return tuple(Work(np.zeros(size), np.zeros(size), np.zeros((4, size)), np.zeros((2, 6))))
+
+
+def contents(radius, velocity, left, member, setup):
+    """Pressure inside, its rate, and the relative rate at which gas is lost."""
+    b = member.b
+    compression = compression_of(radius, b.exponent)
+    factor, trapped = vapour_factor(compression, member)
+    lost = gas_loss(radius, velocity, member)[0]
+    pressure, rate = laws.gas(
+        setup.gas, radius, velocity, left, lost, compression, factor, trapped, b.gas, b.exponent, b.vapour
+    )
+    return pressure, rate, lost
+
+
+def rates_at(state, fading, member, setup, out):
+    """Derivatives of the state in stretched time; returns ``U'``."""
+    radius, velocity, last = state[0], state[1], len(state) - 1
+    pressure, rate, lost = contents(radius, velocity, state[last], member, setup)
+    force = motion(state[2], radius, velocity, pressure, rate, state[_HEAD:last], out[_HEAD:last], member, setup)
+    tick = time_per_tick(radius, velocity, force, pressure, fading, member.b)
+    out[0], out[1], out[2] = tick * velocity, tick * force, tick
+    for k in range(_HEAD, last):
+        out[k] *= tick
+    out[last] = -tick * lost * state[last]
+    return force
+
+
+def march(numbers, theta, terms, effects, setup, h, share, max_steps, last, times, curves, work):
+    """Integrate one bubble to its last time; returns status and steps taken.
+
+    Args:
+        numbers: ``N``.
+        theta: ``p``.
+        terms: which stress terms act; ``effects`` likewise.
+        effects: see ``terms``.
+        setup: what the batch shares.
+        h: length of a step of stretched time.
+        share: weight of the gel's memory in the time scale.
+        max_steps: steps after which it is given up.
+        last: time to reach.
+        times: ``n_t``.
+        curves: ``3 x n_t``, receives radius, velocity and pressure; NaN where it did not get.
+        work: arrays to spare.
+    """
+    member = member_of(numbers, theta, terms, effects)
+    fading = laws.fastest(terms, theta) * share
+    state, stage, rates, nodes = work.state, work.stage, work.rates, work.nodes
+    size = len(state)
+    gas = size - 1
+    state[0], state[1], state[2], state[gas] = 1.0, member.b.velocity, 0.0, 1.0
+    laws.start(member.b.rest_radius, terms, theta, state[_HEAD:gas])
+    curves[:] = np.nan
+    filled, step, gas_before = 0, 0, 1.0
+    while True:
+        force = rates_at(state, fading, member, setup, rates[0])
+        finite = np.isfinite(force) and state[0] > 0.0
+        for i in range(size):
+            finite = finite and np.isfinite(state[i])
+        if not finite:
+            return _NON_FINITE, step
+        if state[0] > RUNAWAY:
+            return _RUNAWAY, step
+        node = nodes[1]
+        for i in range(len(node)):
+            nodes[0, i] = node[i]
+        node[TIME], node[RADIUS], node[VELOCITY], node[ACCELERATION] = state[2], state[0], state[1], force
+        if step > 0:
+            begin, filled = filled, fill(nodes[0], node, filled, times, curves[0], curves[1])
+            for j in range(begin, filled):
+                share_after = (times[j] - nodes[0, TIME]) / max(node[TIME] - nodes[0, TIME], 1e-300)
+                left = gas_before + share_after * (state[gas] - gas_before)
+                curves[2, j] = contents(curves[0, j], curves[1, j], left, member, setup)[0]
+            gas_before = state[gas]
+        if state[2] >= last:
+            return _DONE, step
+        if step >= max_steps:
+            return _TOO_MANY, step
+        first, second, third, fourth = rates[0], rates[1], rates[2], rates[3]
+        for i in range(size):
+            stage[i] = state[i] + h * first[i] * (1.0 / 3.0)
+        rates_at(stage, fading, member, setup, second)
+        for i in range(size):
+            stage[i] = state[i] + h * (second[i] - first[i] * (1.0 / 3.0))
+        rates_at(stage, fading, member, setup, third)
+        for i in range(size):
+            stage[i] = state[i] + h * (first[i] - second[i] + third[i])
+        rates_at(stage, fading, member, setup, fourth)
+        for i in range(size):
+            state[i] += (first[i] + 3.0 * (second[i] + third[i]) + fourth[i]) * h * 0.125
+        step += 1
+
+
+def solve_block(which, width, rows, theta, terms, effects, shared, settings, times, curves, status, steps, arrays):
+    """Integrate some bundles of a batch, one by one.
+
+    Args:
+        which: numbers of the bundles.
+        width: members of a bundle.
+        rows: ``B x N``, the bubbles' numbers, bundle after bundle.
+        theta: ``B x p``.
+        terms: a row a bundle: which stress terms act; ``effects`` likewise.
+        effects: see ``terms``.
+        shared: what :func:`imr_torch.simulate.compiled.wall.setup_of` takes.
+        settings: for each attempt, the length of a step of stretched time and the weight of the gel's memory; and steps at
+            most.
+        times: ``B x n_t``.
+        curves: ``3 x B x n_t``, receives radius, velocity and pressure.
+        status: of each bundle's leader; ``steps`` likewise.
+        steps: see ``status``.
+        arrays: of :func:`work_for`, for the memory states that these bundles have.
+    """
+    attempts, max_steps = settings
+    setup, work = setup_of(shared), Work(*arrays)
+    for bundle in which:
+        lead, chosen = bundle * width, 0
+        for attempt in range(len(attempts)):
+            chosen = attempt
+            status[bundle], steps[bundle] = march(
+                rows[lead],
+                theta[lead],
+                terms[bundle],
+                effects[bundle],
+                setup,
+                attempts[attempt, 0],
+                attempts[attempt, 1],
+                max_steps,
+                times[lead, -1],
+                times[lead],
+                curves[:, lead],
+                work,
+            )
+            if status[bundle] == _DONE or status[bundle] == _TOO_MANY:
+                break
+        for member in range(lead + 1, lead + width):  # a follower may need a little longer than its leader
+            march(
+                rows[member],
+                theta[member],
+                terms[bundle],
+                effects[bundle],
+                setup,
+                attempts[chosen, 0],
+                attempts[chosen, 1],
+                2 * max_steps,
+                times[member, -1],
+                times[member],
+                curves[:, member],
+                work,
+            )

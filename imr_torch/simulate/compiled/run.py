@@ -1,0 +1,225 @@
+"""The compiled engine: tensors in, tensors out, bubbles shared among processor threads.
+
+Bubbles are independent and each is integrated by itself, so results depend neither on the batch nor on the number of threads,
+bit for bit.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from imr_torch.elementary import has_compiled_form
+from imr_torch.material import LIBRARY, PARAMETERS, TERMS, StressTerm
+from imr_torch.simulate.bubbles import Bubbles
+from imr_torch.simulate.clock import memory_share
+from imr_torch.simulate.compiled import polytropic, transport
+from imr_torch.simulate.compiled.build import Registry, announced, engine
+from imr_torch.simulate.conditions import Conditions, Stepping
+from imr_torch.simulate.driving import DRIVING_LAWS, LawDriving
+from imr_torch.simulate.engines import cores
+from imr_torch.simulate.gas import polytropic as polytropic_law
+from imr_torch.simulate.grids import Resolution
+from imr_torch.simulate.radial import RADIAL_EQUATIONS
+
+_CHUNK = 64  # bundles between two looks at the keyboard, at most
+_SHARES = 8  # chunks a thread, at least, so that none waits long for the last
+
+
+def obstacle(conditions: Conditions, terms: Sequence[StressTerm] | None) -> str | None:
+    """What keeps a simulator from the compiled engine, in words; None if nothing does."""
+    laws = [type(conditions.motion).law, type(conditions.gas).law]
+    if conditions.driving is not None:
+        if not isinstance(conditions.driving, LawDriving):
+            return f"the driving {type(conditions.driving).__name__} is no LawDriving"
+        laws.append(type(conditions.driving).law)
+    missing = [law.__qualname__ for law in laws if not has_compiled_form(law)]
+    missing += [term.name for term in (TERMS if terms is None else terms) if not term.compilable]
+    missing += [effect.name for effect in LIBRARY.values() if not effect.compilable]
+    return f"{missing[0]} has no compiled form" if missing else None
+
+
+def registry_of(conditions: Conditions, terms: Sequence[StressTerm] | None) -> Registry:
+    """All laws that are registered, and those of a simulator beside them."""
+    driving = [type(conditions.driving).law] if isinstance(conditions.driving, LawDriving) else []
+    return Registry(
+        terms=_all(TERMS, terms or ()),
+        effects=tuple(e for e in LIBRARY.values() if e.gas_loss or e.vapour or e.far_field),
+        radial=_all([type(motion).law for motion in RADIAL_EQUATIONS.values()], [type(conditions.motion).law]),
+        gases=_all([polytropic_law], [type(conditions.gas).law]),
+        drivings=_all(DRIVING_LAWS, driving),
+    )
+
+
+def _all(known: Sequence[Any], more: Sequence[Any]) -> tuple[Any, ...]:
+    return (*known, *(x for x in more if x not in known))
+
+
+def solve_transport(
+    bubbles: Bubbles,
+    terms: Sequence[StressTerm] | None,
+    times: Tensor,
+    width: int,
+    resolution: Resolution,
+    limits: tuple[float, int, float],
+    threads: int | None,
+) -> tuple[Tensor, ...]:
+    """Integrate bubbles with heat and vapour transport; see :func:`_solve` for arguments and results.
+
+    Args:
+        bubbles: the batch.
+        terms: of the simulator.
+        times: ``B x n_t`` tensor.
+        width: members of a bundle.
+        resolution: grids inside and outside the bubble.
+        limits: tolerance, steps at most, and length of the first step.
+        threads: that share the bubbles; all cores if None.
+    """
+    grids = resolution.grids()
+    arrays = partial(transport.work_for, len(grids[0]), len(grids[1]))
+    return _solve("solve_transport", bubbles, terms, times, width, (_space(grids), *limits), arrays, threads)
+
+
+def solve_polytropic(
+    bubbles: Bubbles,
+    terms: Sequence[StressTerm] | None,
+    times: Tensor,
+    width: int,
+    stepping: Stepping,
+    threads: int | None,
+) -> tuple[Tensor, ...]:
+    """Integrate bubbles of polytropic gas; see :func:`_solve` for arguments and results."""
+    steps = [stepping.step * 0.5**attempt for attempt in range(stepping.retries + 1)]
+    attempts = np.array([(step, memory_share(step)) for step in steps])
+    settings = (attempts, stepping.max_steps)
+    return _solve("solve_polytropic", bubbles, terms, times, width, settings, _polytropic_arrays, threads)
+
+
+def _polytropic_arrays(states: int, _: int) -> tuple[np.ndarray, ...]:
+    return polytropic.work_for(states)
+
+
+def _solve(
+    entry: str,
+    bubbles: Bubbles,
+    terms: Sequence[StressTerm] | None,
+    times: Tensor,
+    width: int,
+    settings: tuple[Any, ...],
+    arrays: Callable[[int, int], tuple[np.ndarray, ...]],
+    threads: int | None,
+) -> tuple[Tensor, ...]:
+    """Integrate a batch, bundle after bundle.
+
+    Args:
+        entry: ``"solve_transport"`` or ``"solve_polytropic"``.
+        bubbles: the batch, ``B`` members.
+        terms: stress terms that the simulator was given; None for all.
+        times: ``B x n_t`` tensor.
+        width: members of a bundle.
+        settings: what the entry point takes of the simulator's.
+        arrays: memory states and width of a bundle to the arrays that the entry point works in.
+        threads: that share the bubbles; all cores if None.
+
+    Returns:
+        Radius, velocity, pressure (``B x n_t`` each), status and steps (``B`` each; of the leaders).
+    """
+    registry = registry_of(bubbles.conditions, terms)
+    module = engine(registry)
+    count = len(bubbles) // width
+    rows = torch.stack(torch.broadcast_tensors(*bubbles.numbers), 1).numpy()
+    theta = bubbles.parameters.T.contiguous().numpy()
+    curves = np.empty((3, *times.shape))
+    status, steps = np.empty(count, np.int64), np.empty(count, np.int64)
+    on = _acting(theta, registry.terms, bubbles.terms, [term.switch for term in registry.terms], width)
+    acting = _acting(theta, registry.effects, bubbles.effects, [effect.names[0] for effect in registry.effects], width)
+    moments = times.contiguous().numpy()
+    arguments = (width, rows, theta, on, acting, _shared(bubbles, registry), settings, moments, curves, status, steps)
+    states = on @ np.array([term.states for term in registry.terms])
+    for number in np.unique(states):
+        bundles = np.flatnonzero(states == number)
+        _share_out(module, entry, bundles, arguments, partial(arrays, int(number), width), threads or cores())
+    every = (torch.from_numpy(x).repeat_interleave(width) for x in (status, steps))
+    return *torch.from_numpy(curves).unbind(0), *every
+
+
+def _acting(theta: np.ndarray, known: Sequence[Any], chosen: Sequence[Any], switches: Sequence[str], width: int) -> np.ndarray:
+    """Which of the engine's terms or effects act in each bundle, ``bundles x known``."""
+    columns = theta[:, PARAMETERS.index(list(switches))] != 0.0
+    columns &= np.array([x in chosen for x in known], dtype=bool)
+    return np.ascontiguousarray(columns.reshape(-1, width, len(known)).any(1))
+
+
+def _shared(bubbles: Bubbles, registry: Registry) -> tuple[Any, ...]:
+    """What :func:`imr_torch.simulate.compiled.wall.setup_of` takes."""
+    conditions, driving = bubbles.conditions, bubbles.conditions.driving
+    kinds = [
+        registry.radial.index(type(conditions.motion).law),
+        registry.gases.index(type(conditions.gas).law),
+        registry.drivings.index(type(driving).law) if isinstance(driving, LawDriving) else -1,
+    ]
+    shape = driving if isinstance(driving, LawDriving) else LawDriving()  # a table of zeros
+    return (
+        np.array(bubbles.constants, dtype=np.float64),
+        np.array(kinds),
+        np.array([*conditions.motion.constants, 0.0]),
+        np.array([*shape.values, 0.0]),
+        shape.knots.numpy(),
+        shape.cubics.numpy(),
+        1.0 / conditions.surroundings.far_field_pressure,
+    )
+
+
+def _share_out(
+    module: Any,
+    entry: str,
+    bundles: np.ndarray,
+    arguments: tuple[Any, ...],
+    arrays: Callable[[], tuple[np.ndarray, ...]],
+    threads: int,
+) -> None:
+    """Call an entry point for some bundles, in chunks, on some threads."""
+    threads = min(threads, len(bundles))
+    size = max(1, min(_CHUNK, len(bundles) // (_SHARES * threads)))
+    chunks = [bundles[first : first + size] for first in range(0, len(bundles), size)]
+    announced(module, entry, (chunks[0], *arguments, arrays()))  # compiles, if need be, before threads begin
+    function = getattr(module, entry)
+    rest = chunks[1:]
+    if threads == 1:
+        own = arrays()
+        for chunk in rest:
+            function(chunk, *arguments, own)
+    else:
+        for _ in _pool(threads).map(lambda chunk: function(chunk, *arguments, arrays()), rest):
+            pass
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="imr_torch")
+
+
+def _space(grids: tuple[Any, Any]) -> tuple[np.ndarray, ...]:
+    """Grids as :class:`imr_torch.simulate.compiled.transport.Space` has them."""
+    inside, outside = grids
+
+    def columns(*rows: Tensor) -> np.ndarray:
+        return torch.cat(rows).T.contiguous().numpy()
+
+    y = outside.nodes
+    return (
+        columns(inside.first, inside.laplacian),
+        columns(outside.first, outside.laplacian),
+        columns(inside.first[1:, 1:]),
+        columns(inside.laplacian[:, 1:]),
+        columns(outside.first[1:, 1:]),
+        columns(outside.laplacian[:, 1:]),
+        inside.nodes.contiguous().numpy(),
+        (y**-2 - y).numpy(),
+        (y**-6).numpy(),
+    )

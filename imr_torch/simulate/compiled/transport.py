@@ -1,0 +1,643 @@
+"""One bubble with heat and vapour transport, and a bundle of them, integrated by compiled code.
+
+The same equations, method and step control as the tensor engine (:mod:`~imr_torch.simulate.rhs`,
+:mod:`~imr_torch.simulate.rosenbrock`, :mod:`~imr_torch.simulate.bordered`, :mod:`~imr_torch.simulate.controller`), for one
+bubble
+at a time: no masks, no slots. A bundle is a loop over its members along the leader's steps. Functions here are compiled by
+:mod:`imr_torch.simulate.compiled.build`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from imr_torch.simulate.compiled import laws
+from imr_torch.simulate.compiled.algebra import apply, dot, invert, multiply, multiply_left
+from imr_torch.simulate.compiled.output import (
+    ACCELERATION,
+    PRESSURE,
+    PRESSURE_RATE,
+    RADIUS,
+    TIME,
+    VELOCITY,
+    fill,
+    fill_pressure,
+)
+from imr_torch.simulate.compiled.wall import gas_loss, member_of, motion, motion_slopes, setup_of, vapour_factor
+from imr_torch.simulate.contents import (
+    Node,
+    Wall,
+    conductivity_of,
+    gel_rate,
+    gel_slopes,
+    mixture_of,
+    node_rates,
+    node_slopes,
+    pressure_rate,
+    pressure_rate_slopes,
+    temperature_of,
+    wall_balance,
+    wall_balance_slopes,
+    wall_of,
+)
+from imr_torch.simulate.controller import GROW, HEAT_WEIGHT, PATIENCE, REST, RUNAWAY, SAFETY, SHRINK, UNDERFLOW
+from imr_torch.simulate.rosenbrock import RODAS4P
+from imr_torch.simulate.simulator import Status
+
+_HEAD = 4
+_BORDER = 5
+_STAGES = len(RODAS4P.stages) + 1
+_GAMMA = RODAS4P.gamma
+_ORDER = RODAS4P.order
+
+
+def _lower(rows: tuple[tuple[float, ...], ...]) -> np.ndarray:
+    """Rows of growing length as a square array."""
+    return np.array([[*row, *[0.0] * (_STAGES - len(row))] for row in ((), *rows)])
+
+
+_ARGUMENT, _COUPLING = _lower(RODAS4P.stages), _lower(RODAS4P.coupling)
+_TIME_INCREMENTS, _MOMENTS = (np.array(x) for x in RODAS4P.ticks)
+_DONE, _TOO_MANY, _NON_FINITE = int(Status.DONE), int(Status.TOO_MANY_STEPS), int(Status.NON_FINITE)
+_RUNAWAY, _UNDERFLOW = int(Status.RUNAWAY), int(Status.STEP_UNDERFLOW)
+
+
+class Space(NamedTuple):
+    """The grids, laid out for loops over contiguous rows.
+
+    Args:
+        inside: ``(n+1) x (2n+1)``: column ``j`` of the operators ``d/dy`` (wall first) and Laplacian, as a row.
+        outside: ``(m+1) x (2m+1)``, likewise.
+        first: ``n x n``, column ``j`` of ``d/dy`` at the inner nodes from the inner nodes, as a row; ``laplacian`` likewise.
+        outer_first: ``m x m``; ``outer_laplacian`` likewise.
+        y: ``n`` nodes.
+        stretching: ``m``, ``1/y^2 - y``.
+        shear: ``m``, ``1/y^6``.
+    """
+
+    inside: np.ndarray
+    outside: np.ndarray
+    first: np.ndarray
+    laplacian: np.ndarray
+    outer_first: np.ndarray
+    outer_laplacian: np.ndarray
+    y: np.ndarray
+    stretching: np.ndarray
+    shear: np.ndarray
+
+
+class Work(NamedTuple):
+    """Arrays for bundles of ``w`` bubbles with ``K`` memory states; most are written anew at every step.
+
+    Args:
+        state: ``w x nx``; ``fresh`` likewise, the states after a step.
+        clock: ``w``, the bubbles' times.
+        nodes: ``w x 2 x 6``, the last two nodes of each path, see :mod:`imr_torch.simulate.compiled.output`.
+        counts: ``2 x w``: times filled in, and nodes recorded.
+        inner: ``2 x (2n+1)``: slopes (wall first) and Laplacians of ``tau`` and ``C``; ``outer`` likewise of ``theta``.
+        profile: ``3 x n``: conductivity, temperature and ``R_mix`` at the inner nodes.
+        heat: ``n x n``, the block of ``tau`` by columns, then its inverse by columns; ``vapour`` and ``gel`` likewise.
+        inner_border: ``2 x 5 x n``: derivatives of ``tau_t`` and ``C_t`` in (R, U, ln P, q, tau_w); ``outer_border``: ``5 x
+            m``.
+        factors: ``9 x max(n, m)``: factors of slope, Laplacian and value in the rates of ``tau``, ``C`` and ``theta`` at each
+            node.
+        coupling: ``2 x n``: how ``C_t`` hangs on the value and on the slope of ``tau``.
+        functionals: ``2 x (2n+m)``: what the fields add to the rows of ``q`` and of the wall.
+        border: ``(5+K) x (5+K)``, the system that is left, then its inverse.
+        increments: ``6 x nx``.
+        argument: ``nx``; ``right`` likewise.
+        rate: ``nx``, ``f(x)`` at the beginning of the step.
+        slopes: see :func:`imr_torch.simulate.compiled.wall.motion_slopes`; ``memory_slopes`` and ``moved`` likewise.
+        wall_rows: ``2 x 8``: derivatives of ``d ln P/dt`` and of the wall's balance in (R, U, ln P, q, tau_w) and in the slopes
+            of ``tau``, ``C`` and ``theta`` at the wall.
+        small: numbers to spare, ``3 x max(n, m, 5+K)``; ``pivots``: ``2 x`` as many.
+    """
+
+    state: np.ndarray
+    fresh: np.ndarray
+    clock: np.ndarray
+    nodes: np.ndarray
+    counts: np.ndarray
+    inner: np.ndarray
+    outer: np.ndarray
+    profile: np.ndarray
+    heat: np.ndarray
+    vapour: np.ndarray
+    gel: np.ndarray
+    inner_border: np.ndarray
+    outer_border: np.ndarray
+    factors: np.ndarray
+    coupling: np.ndarray
+    functionals: np.ndarray
+    border: np.ndarray
+    increments: np.ndarray
+    argument: np.ndarray
+    right: np.ndarray
+    rate: np.ndarray
+    slopes: np.ndarray
+    memory_slopes: np.ndarray
+    moved: np.ndarray
+    wall_rows: np.ndarray
+    small: np.ndarray
+    pivots: np.ndarray
+
+
+def work_for(n: int, m: int, states: int, width: int) -> tuple[np.ndarray, ...]:
+    """The entries of :class:`Work` for grids of ``n`` and ``m`` nodes, so many memory states and members of a bundle."""
+    size, border = _HEAD + 2 * n + m + states, _BORDER + states
+    longest = max(n, m, border)
+    work = Work(
+        state=np.zeros((width, size)),
+        fresh=np.zeros((width, size)),
+        clock=np.zeros(width),
+        nodes=np.zeros((width, 2, 6)),
+        counts=np.zeros((2, width), np.int64),
+        inner=np.zeros((2, 2 * n + 1)),
+        outer=np.zeros((1, 2 * m + 1)),
+        profile=np.zeros((3, n)),
+        heat=np.zeros((n, n)),
+        vapour=np.zeros((n, n)),
+        gel=np.zeros((m, m)),
+        inner_border=np.zeros((2, _BORDER, n)),
+        outer_border=np.zeros((_BORDER, m)),
+        factors=np.zeros((9, max(n, m))),
+        coupling=np.zeros((2, n)),
+        functionals=np.zeros((2, 2 * n + m)),
+        border=np.zeros((border, border)),
+        increments=np.zeros((_STAGES, size)),
+        argument=np.zeros(size),
+        right=np.zeros(size),
+        rate=np.zeros(size),
+        slopes=np.zeros(_BORDER + states),
+        memory_slopes=np.zeros((2 + states, states)),
+        moved=np.zeros((2, states), np.complex128),
+        wall_rows=np.zeros((2, 8)),
+        small=np.zeros((3, longest)),
+        pivots=np.zeros((2, longest)),
+    )
+    return tuple(work)
+
+
+class Point(NamedTuple):
+    """What holds at one state: of the wall, pressure of the mixture, its rate, and slopes of ``tau`` and ``C`` at the wall."""
+
+    wall: Wall
+    radius: float
+    velocity: float
+    pressure: float
+    rate: float
+    heat: float
+    vapour: float
+    loss: tuple
+
+
+def point_at(state, space, work, member, setup):
+    """Temperatures, slopes and the pressure's rate at a state, into ``work``; returns the :class:`Point`."""
+    b, c, n = member.b, setup.c, len(space.y)
+    m = len(space.shear)
+    radius, velocity, pressure = state[0], state[1], np.exp(state[2])
+    conductivity = conductivity_of(state[3], c)
+    factor, trapped = vapour_factor(pressure / b.start, member)
+    wall = wall_of(pressure, conductivity, factor, trapped, b, c)
+    apply(space.inside, state[_HEAD : _HEAD + n], state[3], work.inner[0])
+    apply(space.inside, state[_HEAD + n : _HEAD + 2 * n], wall.vapour, work.inner[1])
+    apply(space.outside, state[_HEAD + 2 * n : _HEAD + 2 * n + m], wall.temperature - 1.0, work.outer[0])
+    for i in range(n):
+        conductive = conductivity_of(state[_HEAD + i], c)
+        work.profile[0, i] = conductive
+        work.profile[1, i] = temperature_of(conductive, c)
+        work.profile[2, i] = mixture_of(state[_HEAD + n + i], c)
+    loss = gas_loss(radius, velocity, member)
+    heat, vapour = work.inner[0, 0], work.inner[1, 0]
+    rate = pressure_rate(radius, velocity, pressure, wall, heat, vapour, loss[0], b, c)
+    return Point(wall, radius, velocity, pressure, rate, heat, vapour, loss)
+
+
+def rates_at(point, acceleration, space, work, member, setup, out):
+    """``f(x)`` without the rates of memory."""
+    b, c, n, m = member.b, setup.c, len(space.y), len(space.shear)
+    radius, velocity, pressure, rate = point.radius, point.velocity, point.pressure, point.rate
+    out[0], out[1], out[2] = velocity, acceleration, rate / pressure
+    out[3] = wall_balance(point.wall, point.heat, point.vapour, work.outer[0, 0], b, c)
+    heat, vapour, profile = work.inner[0], work.inner[1], work.profile
+    for i in range(n):
+        node = Node(
+            space.y[i],
+            profile[0, i],
+            profile[1, i],
+            profile[2, i],
+            heat[1 + i],
+            heat[1 + n + i],
+            vapour[1 + i],
+            vapour[1 + n + i],
+        )
+        warmer, wetter = node_rates(node, radius, velocity, pressure, rate, b, c)
+        out[_HEAD + i], out[_HEAD + n + i] = warmer, wetter
+    outer = work.outer[0]
+    for i in range(m):
+        out[_HEAD + 2 * n + i] = gel_rate(
+            space.stretching[i], space.shear[i], outer[1 + i], outer[1 + m + i], radius, velocity, point.wall, b
+        )
+
+
+def field_slopes(point, space, work, member, setup):
+    """The derivatives of the fields' rates at each node, into ``work``: factors of the operators, and the border."""
+    b, c, n, m, wall = member.b, setup.c, len(space.y), len(space.shear), point.wall
+    radius, velocity, pressure, rate = point.radius, point.velocity, point.pressure, point.rate
+    heat, vapour, profile, border, factors = work.inner[0], work.inner[1], work.profile, work.inner_border, work.factors
+    log_rate = rate / pressure
+    for i in range(n):
+        node = Node(
+            space.y[i],
+            profile[0, i],
+            profile[1, i],
+            profile[2, i],
+            heat[1 + i],
+            heat[1 + n + i],
+            vapour[1 + i],
+            vapour[1 + n + i],
+        )
+        s = node_slopes(node, radius, velocity, pressure, rate, b, c)
+        factors[0, i], factors[1, i], factors[2, i] = s.heat_first, s.heat_second, s.heat_self
+        factors[3, i], factors[4, i], factors[5, i] = s.vapour_first, s.vapour_second, s.vapour_self
+        heat_wall = s.heat_second * space.inside[0, 1 + n + i] + s.heat_first * space.inside[0, 1 + i]
+        vapour_wall = s.vapour_second * space.inside[0, 1 + n + i] + s.vapour_first * space.inside[0, 1 + i]
+        by_pressure = s.vapour_pressure + vapour_wall * wall.vapour_pressure
+        border[0, 0, i], border[1, 0, i] = s.heat_radius, s.vapour_radius
+        border[0, 1, i], border[1, 1, i] = s.heat_velocity, s.vapour_velocity
+        border[0, 2, i] = pressure * (s.heat_pressure + log_rate * s.heat_rate)
+        border[1, 2, i] = pressure * (by_pressure + log_rate * s.vapour_rate)
+        border[0, 3, i], border[1, 3, i] = pressure * s.heat_rate, pressure * s.vapour_rate
+        border[0, 4, i] = heat_wall
+        border[1, 4, i] = vapour_wall * wall.vapour_heat + s.coupling_slope * space.inside[0, 1 + i]
+        work.coupling[0, i], work.coupling[1, i] = s.coupling, s.coupling_slope
+    outer, beyond = work.outer[0], work.outer_border
+    for i in range(m):
+        g = gel_slopes(space.stretching[i], space.shear[i], outer[1 + i], outer[1 + m + i], radius, velocity, wall, b, c)
+        factors[6, i], factors[7, i], factors[8, i] = g.first, g.second, 0.0
+        through = (g.second * space.outside[0, 1 + m + i] + g.first * space.outside[0, 1 + i]) / wall.conductivity
+        beyond[0, i], beyond[1, i], beyond[2, i] = g.radius, g.velocity, pressure * g.pressure
+        beyond[3, i], beyond[4, i] = 0.0, g.wall + through
+
+
+def shifted_inverse(factors, first, laplacian, shift, out, pivots):
+    """``out = (shift - J)^-1`` of one field by columns, from the factors of value, slope and Laplacian at each node."""
+    size = len(out)
+    by_slope, by_bend, by_value = factors[0], factors[1], factors[2]
+    for j in range(size):
+        column, slope, bend = out[j], first[j], laplacian[j]
+        for i in range(size):
+            column[i] = -(by_bend[i] * bend[i] + by_slope[i] * slope[i])
+        column[j] += shift - by_value[j]
+    invert(out, pivots)
+
+
+def linearise(state, time, space, work, member, setup):
+    """``f(x)`` at a state (``work.rate``) and all its derivatives, into ``work``; returns ``d ln P/dt``."""
+    b, c, fields = member.b, setup.c, _HEAD + 2 * len(space.y) + len(space.shear)
+    point = point_at(state, space, work, member, setup)
+    wall, pressure, log_rate = point.wall, point.pressure, point.rate / point.pressure
+    acceleration = motion_slopes(
+        time,
+        point.radius,
+        point.velocity,
+        pressure + b.constant_vapour,
+        point.rate,
+        state[fields:],
+        member,
+        setup,
+        work.slopes,
+        work.memory_slopes,
+        work.moved,
+        work.rate[fields:],
+    )
+    rates_at(point, acceleration, space, work, member, setup, work.rate)
+    field_slopes(point, space, work, member, setup)
+    s, corner = work.slopes, space.inside[0, 0]
+    s[2], s[3] = pressure * (s[2] + log_rate * s[3]), pressure * s[3]
+    q = pressure_rate_slopes(point.radius, point.velocity, pressure, wall, point.heat, point.vapour, corner, point.loss, b, c)
+    w = wall_balance_slopes(pressure, wall, point.vapour, corner, space.outside[0, 0], b, c)
+    rows = work.wall_rows
+    rows[0, 0], rows[0, 1], rows[0, 3], rows[0, 4] = q.radius / pressure, q.velocity / pressure, q.rate, q.wall / pressure
+    rows[0, 2] = q.pressure + log_rate * q.rate - log_rate
+    rows[0, 5], rows[0, 6], rows[0, 7] = q.heat / pressure, q.vapour / pressure, q.outer / pressure
+    rows[1, 0], rows[1, 1], rows[1, 3], rows[1, 4] = w.radius, w.velocity, pressure * w.rate, w.wall
+    rows[1, 2] = pressure * (w.pressure + log_rate * w.rate)
+    rows[1, 5], rows[1, 6], rows[1, 7] = w.heat, w.vapour, w.outer
+    return log_rate
+
+
+def factorise(shift, space, work):
+    """Invert ``shift - J``: the blocks of the fields, what they add to the rows of the wall, and what is left beside them."""
+    n, m, factors, small, rows = len(space.y), len(space.shear), work.factors, work.small, work.wall_rows
+    shifted_inverse(factors[0:3], space.first, space.laplacian, shift, work.heat, work.pivots)
+    shifted_inverse(factors[3:6], space.first, space.laplacian, shift, work.vapour, work.pivots)
+    shifted_inverse(factors[6:9], space.outer_first, space.outer_laplacian, shift, work.gel, work.pivots)
+    at_wall, by_vapour, by_heat, functionals = small[0], small[1], small[2], work.functionals
+    for j in range(n):
+        at_wall[j] = space.inside[1 + j, 0]
+    multiply_left(at_wall, work.vapour, by_vapour)
+    multiply_left(at_wall, work.heat, by_heat)
+    for k in range(2):
+        for j in range(n):
+            functionals[k, j], functionals[k, n + j] = rows[k, 5] * by_heat[j], rows[k, 6] * by_vapour[j]
+    for j in range(n):  # the slope of C at the wall hangs on tau through C_t
+        by_heat[j] = by_vapour[j] * work.coupling[1, j]
+    multiply_left(by_heat, space.first, at_wall)
+    for j in range(n):
+        at_wall[j] += by_vapour[j] * work.coupling[0, j]
+    multiply_left(at_wall, work.heat, by_heat)
+    for k in range(2):
+        for j in range(n):
+            functionals[k, j] += rows[k, 6] * by_heat[j]
+    for j in range(m):
+        at_wall[j] = space.outside[1 + j, 0]
+    multiply_left(at_wall, work.gel, by_heat)
+    for k in range(2):
+        for j in range(m):
+            functionals[k, 2 * n + j] = rows[k, 7] * by_heat[j]
+    _border(shift, n, m, work)
+    invert(work.border, work.pivots)
+
+
+def _border(shift, n, m, work):
+    """The system in (R, U, ln P, q, tau_w, memory) that is left when the fields are eliminated."""
+    matrix, s = work.border, work.slopes
+    states = len(matrix) - _BORDER
+    matrix[:] = 0.0
+    matrix[0, 0], matrix[0, 1] = shift, -1.0
+    matrix[1, 0], matrix[1, 1], matrix[1, 2], matrix[1, 3] = -s[0], shift - s[1], -s[2], -s[3]
+    matrix[2, 2], matrix[2, 3] = shift, -1.0
+    for row in range(2):
+        line = work.functionals[row]
+        heat, vapour, gel = line[:n], line[n : 2 * n], line[2 * n :]
+        for k in range(_BORDER):
+            total = dot(heat, work.inner_border[0, k]) + dot(vapour, work.inner_border[1, k]) + dot(gel, work.outer_border[k])
+            matrix[3 + row, k] = -total - work.wall_rows[row, k]
+    matrix[3, 3] += 1.0
+    for k in range(states):
+        matrix[1, _BORDER + k] = -s[5 + k]
+        matrix[_BORDER + k, 0], matrix[_BORDER + k, 1] = -work.memory_slopes[0, k], -work.memory_slopes[1, k]
+        for j in range(states):
+            matrix[_BORDER + k, _BORDER + j] = -work.memory_slopes[2 + j, k]
+        matrix[_BORDER + k, _BORDER + k] += shift
+
+
+def solve(right, space, work, out):
+    """``out = (shift - J)^-1 right`` in the layout of the state."""
+    n, m = len(space.y), len(space.shear)
+    fields = 2 * n + m
+    size, states = len(work.border), len(work.border) - _BORDER
+    small = work.small
+    for k in range(2):
+        small[1, 3 + k] = dot(work.functionals[k], right[_HEAD : _HEAD + fields])
+    small[1, 0], small[1, 1], small[1, 2] = right[0], right[1], right[2]
+    small[1, 4] += right[3]
+    for k in range(states):
+        small[1, _BORDER + k] = right[_HEAD + fields + k]
+    for i in range(size):
+        total = 0.0
+        for j in range(size):
+            total += work.border[i, j] * small[1, j]
+        small[0, i] = total
+    out[0], out[1], out[2], out[3] = small[0, 0], small[0, 1], small[0, 2], small[0, 4]
+    for k in range(states):
+        out[_HEAD + fields + k] = small[0, _BORDER + k]
+    z0, z1, z2, z3, z4 = small[0, 0], small[0, 1], small[0, 2], small[0, 3], small[0, 4]
+    drive, warm, slope = small[1], small[2], small[0]
+    edge = work.inner_border[0]
+    for i in range(n):
+        drive[i] = right[_HEAD + i] + (edge[0, i] * z0 + edge[1, i] * z1 + edge[2, i] * z2 + edge[3, i] * z3 + edge[4, i] * z4)
+    multiply(work.heat, drive, warm)
+    multiply(space.first, warm, slope)
+    edge = work.inner_border[1]
+    for i in range(n):
+        out[_HEAD + i] = warm[i]
+        drive[i] = (
+            right[_HEAD + n + i]
+            + (edge[0, i] * z0 + edge[1, i] * z1 + edge[2, i] * z2 + edge[3, i] * z3 + edge[4, i] * z4)
+            + work.coupling[1, i] * slope[i]
+            + work.coupling[0, i] * warm[i]
+        )
+    multiply(work.vapour, drive, warm)
+    for i in range(n):
+        out[_HEAD + n + i] = warm[i]
+    edge = work.outer_border
+    for i in range(m):
+        drive[i] = right[_HEAD + 2 * n + i] + (edge[0, i] * z0 + edge[1, i] * z1 + edge[2, i] * z2 + edge[4, i] * z4)
+    multiply(work.gel, drive, warm)
+    for i in range(m):
+        out[_HEAD + 2 * n + i] = warm[i]
+
+
+def step(state, time, h, space, work, member, setup, out):
+    """One step of Rodas4P from a state whose rates and factors are in ``work``; ``out`` receives the new state.
+
+    The last increment, the estimate of the error, is left in ``work.increments``.
+    """
+    n, m, size = len(space.y), len(space.shear), len(state)
+    fields = _HEAD + 2 * n + m
+    increments, argument, right = work.increments, work.argument, work.right
+    inverse = 1.0 / h
+    driven = member.driven or setup.drive >= 0
+    for stage in range(_STAGES):
+        if stage == 0:
+            for i in range(size):
+                right[i] = work.rate[i]
+        else:
+            for i in range(size):
+                argument[i] = state[i]
+            for k in range(stage):
+                weight, increment = _ARGUMENT[stage, k], increments[k]
+                for i in range(size):
+                    argument[i] += weight * increment[i]
+            there = point_at(argument, space, work, member, setup)
+            force = motion(
+                time + _MOMENTS[stage] * h,
+                there.radius,
+                there.velocity,
+                there.pressure + member.b.constant_vapour,
+                there.rate,
+                argument[fields:],
+                right[fields:],
+                member,
+                setup,
+            )
+            rates_at(there, force, space, work, member, setup, right)
+            for k in range(stage):
+                weight, increment = _COUPLING[stage, k] * inverse, increments[k]
+                balance = right[3]
+                for i in range(size):
+                    right[i] += weight * increment[i]
+                right[3] = balance  # tau_w is algebraic
+        if driven:
+            right[1] += work.slopes[4] * h * _TIME_INCREMENTS[stage]
+        solve(right, space, work, increments[stage])
+    for i in range(size):
+        out[i] = argument[i] + increments[_STAGES - 1, i]
+
+
+def scaled_error(before, after, error, space, tolerance):
+    """As :meth:`imr_torch.simulate.controller.Controller.error`, of one bubble."""
+    n, m = len(space.y), len(space.shear)
+    radius = after[0]
+    if not radius > 0.0:
+        return np.inf
+    pressure = 1.0 + np.exp(after[2])
+    hottest, heat, vapour, gel = 0.0, 0.0, 0.0, 0.0
+    for i in range(_HEAD, _HEAD + n):
+        hottest = max(hottest, max(abs(before[i]), abs(after[i])))
+        heat += error[i] * error[i]
+        vapour += error[n + i] * error[n + i]
+    for i in range(_HEAD + 2 * n, _HEAD + 2 * n + m):
+        gel += error[i] * error[i]
+    total = (error[0] / radius) ** 4
+    total += (error[1] / (abs(after[1]) + 0.1 * np.sqrt(pressure))) ** 4
+    total += error[2] ** 4
+    total += (HEAT_WEIGHT * np.sqrt(heat / n) / (0.1 + hottest)) ** 4
+    total += np.sqrt(vapour / n) ** 4
+    total += (HEAT_WEIGHT * np.sqrt(gel / m) / (0.01 + abs(after[3]))) ** 4
+    for i in range(_HEAD + 2 * n + m, len(after)):
+        total += (error[i] / (abs(after[i]) + 0.1 * pressure)) ** 4
+    return np.sqrt(np.sqrt(total)) / tolerance
+
+
+def start(n, m, member, setup, state):
+    """The state at time zero: at the far temperature, vapour in equilibrium."""
+    b = member.b
+    state[:] = 0.0
+    state[0], state[1], state[2] = 1.0, b.velocity, np.log(b.start)
+    state[_HEAD + n : _HEAD + 2 * n] = wall_of(b.start, 1.0, 1.0, 0.0, b, setup.c).vapour
+    laws.start(b.rest_radius, member.terms, member.theta, state[_HEAD + 2 * n + m :])
+
+
+def solve_bundle(numbers, theta, terms, effects, setup, space, tolerance, max_steps, first_step, times, curves, work):
+    """Integrate a leader and its followers, which take its steps in proportion to their time scales.
+
+    Why so: :mod:`imr_torch.simulate.ode_method`.
+
+    Args:
+        numbers: ``w x N``, the bubbles' numbers, the leader first.
+        theta: ``w x p``, dimensionless parameters.
+        terms: which stress terms act in the bundle; ``effects`` likewise.
+        effects: see ``terms``.
+        setup: what the batch shares.
+        space: the grids.
+        tolerance: relative error of a step.
+        max_steps: attempted steps after which the bundle is given up.
+        first_step: length of the first step.
+        times: ``w x n_t``.
+        curves: ``3 x w x n_t``, receives radius, velocity and pressure; NaN where a member did not get.
+        work: arrays to spare.
+
+    Returns:
+        The leader's status, and how many nodes its path has.
+    """
+    width, n, m = len(numbers), len(space.y), len(space.shear)
+    state, fresh, clock, nodes = work.state, work.fresh, work.clock, work.nodes
+    filled, recorded, last = work.counts[0], work.counts[1], 0.0
+    curves[:] = np.nan
+    clock[:] = 0.0
+    work.counts[:] = 0
+    for k in range(width):
+        last = max(last, times[k, -1])
+        start(n, m, member_of(numbers[k], theta[k], terms, effects), setup, state[k])
+    h, error, grow, count, tries, paced, status = first_step, 0.0, True, 1, 0, pace(state[0]), -1
+    while True:
+        behind = False
+        for k in range(width):
+            behind |= clock[k] < last
+        if not behind or (clock[0] >= PATIENCE * last and clock[0] >= last):
+            status = _DONE
+        elif state[0, 0] > RUNAWAY:
+            status = _RUNAWAY
+        elif h < UNDERFLOW * (1.0 + clock[0]):
+            status = _UNDERFLOW if np.isfinite(error) else _NON_FINITE
+        elif tries >= max_steps:
+            status = _TOO_MANY
+        tries += 1
+        for k in range(width):
+            member = member_of(numbers[k], theta[k], terms, effects)
+            if recorded[k] < count:  # a state at which no step was tried yet
+                log_rate = linearise(state[k], clock[k], space, work, member, setup)
+                node = nodes[k, 1]
+                for i in range(len(node)):
+                    nodes[k, 0, i] = node[i]
+                node[TIME], node[RADIUS], node[VELOCITY] = clock[k], state[k, 0], state[k, 1]
+                node[ACCELERATION], node[PRESSURE], node[PRESSURE_RATE] = work.rate[1], state[k, 2], log_rate
+                if recorded[k] > 0:
+                    begin, filled[k] = filled[k], fill(nodes[k, 0], node, filled[k], times[k], curves[0, k], curves[1, k])
+                    fill_pressure(nodes[k, 0], node, begin, filled[k], times[k], curves[2, k])
+                recorded[k] = count
+            if status >= 0:
+                continue
+            length = h if k == 0 else h * (pace(state[k]) / paced)
+            factorise(1.0 / (_GAMMA * length), space, work)
+            step(state[k], clock[k], length, space, work, member, setup, fresh[k])
+            if k == 0:
+                error = scaled_error(state[0], fresh[0], work.increments[_STAGES - 1], space, tolerance)
+                if not error <= 1.0:
+                    break
+        if status >= 0:
+            break
+        accepted = error <= 1.0
+        if accepted:
+            for k in range(width):
+                clock[k] += h if k == 0 else h * (pace(state[k]) / paced)
+                for i in range(state.shape[1]):
+                    state[k, i] = fresh[k, i]
+            count += 1
+            paced = pace(state[0])
+        factor = SHRINK
+        if np.isfinite(error):
+            factor = min(max(SAFETY * error ** (-1.0 / _ORDER), SHRINK), GROW)
+        h *= factor if grow or factor < 1.0 else 1.0
+        grow = accepted
+    for k in range(width):
+        beside = laws.numbers(numbers[k]).constant_vapour
+        for j in range(times.shape[1]):
+            curves[2, k, j] += beside
+    return status, count
+
+
+def pace(state):
+    """A bubble's own time scale (as in :mod:`imr_torch.simulate.clock`)."""
+    return state[0] / np.sqrt(REST + np.exp(state[2]) + state[1] * state[1])
+
+
+def solve_block(which, width, rows, theta, terms, effects, shared, settings, times, curves, status, steps, arrays):
+    """Integrate some bundles of a batch, one by one.
+
+    Args:
+        which: numbers of the bundles.
+        width: members of a bundle.
+        rows: ``B x N``, the bubbles' numbers, bundle after bundle.
+        theta: ``B x p``.
+        terms: a row a bundle: which stress terms act; ``effects`` likewise.
+        effects: see ``terms``.
+        shared: what :func:`imr_torch.simulate.compiled.wall.setup_of` takes.
+        settings: the entries of :class:`Space`; tolerance, steps at most, and length of the first step.
+        times: ``B x n_t``.
+        curves: ``3 x B x n_t``, receives radius, velocity and pressure.
+        status: of each bundle, receives its status; ``steps`` the nodes of its path.
+        steps: see ``status``.
+        arrays: of :func:`work_for`, for the memory states that these bundles have.
+    """
+    grids, tolerance, max_steps, first_step = settings
+    setup, space, work = setup_of(shared), Space(*grids), Work(*arrays)
+    for bundle in which:
+        begin, end = bundle * width, (bundle + 1) * width
+        status[bundle], steps[bundle] = solve_bundle(
+            rows[begin:end],
+            theta[begin:end],
+            terms[bundle],
+            effects[bundle],
+            setup,
+            space,
+            tolerance,
+            max_steps,
+            first_step,
+            times[begin:end],
+            curves[:, begin:end],
+            work,
+        )
