@@ -35,7 +35,6 @@ from imr_torch.simulate.simulator import (
     solve_batch,
     solve_bundles,
 )
-from imr_torch.simulate.together import simulate_together
 from imr_torch.simulate.transport import ACCURACIES, Accuracy, TransportSimulator
 
 __all__ = [
@@ -74,7 +73,6 @@ __all__ = [
     "preset",
     "process_pool",
     "sensitivities",
-    "simulate_together",
     "solve_batch",
     "solve_bundles",
 ]
