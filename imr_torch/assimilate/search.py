@@ -31,7 +31,6 @@ NEAR = 1.0
 _DAMPINGS = (0.0, 1.0, 30.0)  # tried together, times the current damping
 _STUCK = 1e4  # damping at which nothing lowers the cost any more
 _LONGEST_STEP = 4.0  # prior standard deviations
-_AHEAD = 300  # bubbles for whose sake it pays to take the neighbourhoods of all trial steps along, and save a call
 
 
 def _antithetic(members: int, size: int, source: torch.Generator) -> Tensor:
@@ -115,6 +114,8 @@ class Search:
         gel, nuisances = self.gel[chains], self.nuisances[chains]
         aim, cost = self._aim(chains, gel[:, None], nuisances[:, None], prediction[:, :1])
         self.aim[chains], self.cost[chains] = aim[:, 0], cost[:, 0]
+        self.members += prediction[..., 0].numel()
+        self.failures += int((~torch.isfinite(prediction)).any(-1).sum())
         whole = equations_at(self.batch, gel, nuisances, anomalies, prediction)
         bluntly = self.bluntly[chains]
         if not bool(bluntly.any()):
@@ -137,9 +138,10 @@ class Search:
     def _look_around(self, chains: Tensor) -> None:
         """Simulate the neighbourhoods of chains; one whose bubbles cannot follow its leader's goes without."""
         gel, nuisances = self.gel[chains, None], self.nuisances[chains, None]
-        made = self._neighbourhoods(chains, gel, nuisances)
-        self._keep(chains, made[:, 0])
-        lost = torch.isinf(joint_cost(self.batch, gel, nuisances, made[:, :, 0]))[:, 0] & self.led[chains]
+        anomalies = self.anomalies @ self.chol[chains].mT
+        made = self._neighbourhoods(chains, anomalies)
+        self.around |= dict(zip(chains.tolist(), zip(anomalies, made, strict=True), strict=True))
+        lost = torch.isinf(joint_cost(self.batch, gel, nuisances, made[:, :1]))[:, 0] & self.led[chains]
         if bool(lost.any()):
             self.led[chains[lost]] = False
             self._look_around(chains[lost])
@@ -152,30 +154,21 @@ class Search:
         blunt = joint_cost(self._blunt.batch, gel, nuisances, self._blunt.seen(prediction))
         return torch.where(self.bluntly[chains, None], blunt, cost), cost
 
-    def _keep(self, chains: Tensor, predictions: Tensor) -> None:
-        """Keep what is known about where chains stand now; predictions as in :meth:`_neighbourhoods`, one point a chain."""
-        anomalies = self.anomalies @ self.chol[chains].mT
-        self.around |= dict(zip(chains.tolist(), zip(anomalies, predictions, strict=True), strict=True))
-
     def _forget(self, chains: Tensor) -> None:
         """Forget what was known about where chains stood, or under which leader."""
         for chain in chains.tolist():
             self.around.pop(chain, None)
 
-    def _neighbourhoods(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
-        """Predictions ``C x P x (1 + N + S) x E x T`` about ``P`` points of each chain: there, members, moved nuisances."""
-        anomalies, led = (self.anomalies @ self.chol[chains].mT)[:, None], self.led[chains, None]
-        centre, own = gel[:, :, None], nuisances[:, :, None]
-        leader = torch.where(led[..., None], self.leader_gel[chains, None], gel)[:, :, None]
-        controls = (leader, centre, centre + anomalies, centre.expand(-1, -1, len(self.sides), -1))
-        leader = torch.where(led[..., None, None], self.leader_nuisances[chains, None], nuisances)[:, :, None]
-        shifted = (leader, own, own.expand(-1, -1, anomalies.shape[2], -1, -1), own + self.sides)
+    def _neighbourhoods(self, chains: Tensor, anomalies: Tensor) -> Tensor:
+        """Predictions ``C x (1 + N + S) x E x T`` where chains stand, of members ``C x N x size`` and of moved nuisances."""
+        led, centre, own = self.led[chains], self.gel[chains, None], self.nuisances[chains, None]
+        leader = torch.where(led[:, None, None], self.leader_gel[chains, None], centre)
+        controls = (leader, centre, centre + anomalies, centre.expand(-1, len(self.sides), -1))
+        leader = torch.where(led[:, None, None, None], self.leader_nuisances[chains, None], own)
+        shifted = (leader, own, own.expand(-1, anomalies.shape[1], -1, -1), own + self.sides)
         alone = not bool(led.any())  # then each centre leads itself
-        bundle = (torch.cat(parts[alone:], 2) for parts in (controls, shifted))
-        prediction = self.problem.predict(self.model[chains], *bundle, bundled=True)[:, :, not alone :]
-        self.members += prediction[..., 0].numel()
-        self.failures += int((~torch.isfinite(prediction)).any(-1).sum())
-        return prediction
+        bundle = (torch.cat(parts[alone:], 1) for parts in (controls, shifted))
+        return self.problem.predict(self.model[chains], *bundle, bundled=True)[:, not alone :]
 
     def _step(self, chains: Tensor, equations: NormalEquations) -> None:
         """Try several dampings at once; take the best step if it lowers the cost."""
@@ -186,17 +179,12 @@ class Search:
         shorter = (_LONGEST_STEP / length.clamp_min(1e-300)).clamp_max(1.0)
         gel = self.gel[chains, None] + shorter * gel_step
         nuisances = self.nuisances[chains, None] + shorter[..., None] * nuisance_step
-        ahead = gel[..., 0].numel() * nuisances.shape[2] * (1 + len(self.anomalies) + len(self.sides)) <= _AHEAD
-        around = self._neighbourhoods(chains, gel, nuisances) if ahead else None
-        prediction = self._predict_led(chains, gel, nuisances) if around is None else around[:, :, 0]
-        aim, cost = self._aim(chains, gel, nuisances, prediction)
+        aim, cost = self._aim(chains, gel, nuisances, self._predict_led(chains, gel, nuisances))
         best, row = aim.min(dim=1)
         better = best < self.aim[chains] - 0.01 * self.options.gradient**2  # a fiftieth of what the tolerance leaves
         kept, at = chains[better], (torch.nonzero(better)[:, 0], row[better])
         self.gel[kept], self.nuisances[kept], self.cost[kept] = gel[at], nuisances[at], cost[at]
         self._forget(kept)
-        if around is not None:
-            self._keep(kept, around[at])
         eased = self.damping[kept] * torch.tensor(_DAMPINGS, dtype=torch.float64)[row[better]]
         self.damping[kept] = torch.where(eased > 0.0, 0.3 * eased, 0.1 * self.damping[kept]).clamp(1e-6, 1e6)
         self._unstick(chains[~better])
