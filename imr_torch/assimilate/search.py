@@ -78,13 +78,16 @@ class Search:
 
     def _predict_led(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
         """Predictions ``C x N x E x T`` of ``N`` points of each chain, behind its leader or, where it has none, each alone."""
-        led = self.led[chains, None]
-        if not bool(led.any()):
-            return self.problem.predict(self.model[chains], gel, nuisances)
-        gel_leader = torch.where(led[..., None], self.leader_gel[chains, None], gel)
-        nuisance_leader = torch.where(led[..., None, None], self.leader_nuisances[chains, None], nuisances)
-        pairs = torch.stack((gel_leader, gel), 2), torch.stack((nuisance_leader, nuisances), 2)
-        return self.problem.predict(self.model[chains], *pairs, bundled=True)[:, :, 1]
+        led = self.led[chains]
+        made = torch.empty(*gel.shape[:2], *self.batch.mask.shape, dtype=torch.float64)
+        if not bool(led.all()):
+            made[~led] = self.problem.predict(self.model[chains[~led]], gel[~led], nuisances[~led])
+        if bool(led.any()):
+            own = chains[led]
+            gel = torch.cat((self.leader_gel[own, None], gel[led]), 1)
+            nuisances = torch.cat((self.leader_nuisances[own, None], nuisances[led]), 1)
+            made[led] = self.problem.predict(self.model[own], gel, nuisances, bundled=True)[:, 1:]
+        return made
 
     def iterate(self) -> None:
         """One Gauss-Newton iteration of the chains that are not finished."""
@@ -139,7 +142,12 @@ class Search:
         """Simulate the neighbourhoods of chains; one whose bubbles cannot follow its leader's goes without."""
         gel, nuisances = self.gel[chains, None], self.nuisances[chains, None]
         anomalies = self.anomalies @ self.chol[chains].mT
-        made = self._neighbourhoods(chains, anomalies)
+        made = torch.empty(len(chains), 1 + len(self.anomalies) + len(self.sides), *self.batch.mask.shape, dtype=torch.float64)
+        for model in self.model[chains].unique().tolist():
+            for led in (False, True):
+                rows = (self.model[chains] == model) & (self.led[chains] == led)
+                if bool(rows.any()):
+                    made[rows] = self._neighbourhoods(chains[rows], anomalies[rows], len(self.belief.models[model].names), led)
         self.around |= dict(zip(chains.tolist(), zip(anomalies, made, strict=True), strict=True))
         lost = torch.isinf(joint_cost(self.batch, gel, nuisances, made[:, :1]))[:, 0] & self.led[chains]
         if bool(lost.any()):
@@ -159,16 +167,27 @@ class Search:
         for chain in chains.tolist():
             self.around.pop(chain, None)
 
-    def _neighbourhoods(self, chains: Tensor, anomalies: Tensor) -> Tensor:
-        """Predictions ``C x (1 + N + S) x E x T`` where chains stand, of members ``C x N x size`` and of moved nuisances."""
-        led, centre, own = self.led[chains], self.gel[chains, None], self.nuisances[chains, None]
-        leader = torch.where(led[:, None, None], self.leader_gel[chains, None], centre)
-        controls = (leader, centre, centre + anomalies, centre.expand(-1, len(self.sides), -1))
-        leader = torch.where(led[:, None, None, None], self.leader_nuisances[chains, None], own)
-        shifted = (leader, own, own.expand(-1, anomalies.shape[1], -1, -1), own + self.sides)
-        alone = not bool(led.any())  # then each centre leads itself
-        bundle = (torch.cat(parts[alone:], 1) for parts in (controls, shifted))
-        return self.problem.predict(self.model[chains], *bundle, bundled=True)[:, not alone :]
+    def _neighbourhoods(self, chains: Tensor, anomalies: Tensor, free: int, led: bool) -> Tensor:
+        """Predictions ``C x (1 + N + S) x E x T`` where chains of a model stand, of members, and of moved nuisances.
+
+        Args:
+            chains: all of one model.
+            anomalies: ``C x N x size`` tensor.
+            free: controls of that model. Members that move other controls only are what the centre is.
+            led: whether each has a leader; else its centre leads.
+        """
+        count = len(self.anomalies)
+        moved = free if self.options.members is None else count
+        centre, own = self.gel[chains, None], self.nuisances[chains, None]
+        controls = [centre, centre + anomalies[:, :moved], centre.expand(-1, len(self.sides), -1)]
+        shifted = [own, own.expand(-1, moved, -1, -1), own + self.sides]
+        if led:
+            controls.insert(0, self.leader_gel[chains, None])
+            shifted.insert(0, self.leader_nuisances[chains, None])
+        made = self.problem.predict(self.model[chains], torch.cat(controls, 1), torch.cat(shifted, 1), bundled=True)
+        made = made[:, int(led) :]
+        same = made[:, :1].expand(-1, count - moved, -1, -1)
+        return torch.cat((made[:, : 1 + moved], same, made[:, 1 + moved :]), 1)
 
     def _step(self, chains: Tensor, equations: NormalEquations) -> None:
         """Try several dampings at once; take the best step if it lowers the cost."""

@@ -79,9 +79,13 @@ def beside(problem: Problem, near: Assimilation, options: EnsembleOptions, sourc
     noise[:: options.starts] = 0.0
     optimum = torch.stack([problem.padded(fit.mean) for fit in fits])
     nuisances = torch.stack([fit.nuisances for fit in fits])
-    failed = torch.isinf(problem.cost(model, optimum + noise, nuisances))
-    gel = torch.where(failed[:, None], optimum, optimum + noise)
-    return Starts(model, gel, nuisances, problem.cost(model, gel, nuisances))
+    gel = optimum + noise
+    cost = problem.cost(model, gel, nuisances)
+    failed = torch.isinf(cost)
+    if bool(failed.any()):
+        gel[failed] = optimum[failed]
+        cost[failed] = problem.cost(model[failed], gel[failed], nuisances[failed])
+    return Starts(model, gel, nuisances, cost)
 
 
 def around(chol: Tensor, source: torch.Generator, away: float) -> Tensor:
