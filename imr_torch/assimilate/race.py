@@ -8,7 +8,7 @@ no business of this file.
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.fit import PROMISED
+from imr_torch.assimilate.fit import ALL_BUT, PROMISED
 from imr_torch.assimilate.search import NEAR, Search
 from imr_torch.assimilate.starts import around
 
@@ -70,13 +70,14 @@ class Race:
         return bool(gained[chain] >= _FAIR * gained.max())
 
     def _settle(self) -> None:
-        """Let the other starts of a model rest once its best one has converged and a second agrees with it."""
+        """End the other starts of a model once its best one has converged and a second is all but there, at the same cost."""
         search = self._search
         for model in range(len(search.belief.models)):
             rows = torch.nonzero(search.model == model)[:, 0]
-            agree = search.cost[rows] < search.cost[rows].min() + search.options.agreement
+            agree = (search.cost[rows] < search.cost[rows].min() + search.options.agreement) & ~search.bluntly[rows]
             sure = agree & (search.gradient[rows] < search.options.gradient) & search.finished[rows]
-            if int(sure.sum()) >= 2 and not self._several(rows):
+            near = agree & (search.gradient[rows] < max(ALL_BUT, search.options.gradient))
+            if bool(sure.any()) and int(near.sum()) >= 2 and not self._several(rows):
                 search.finished[rows] = True
 
     def _restart(self) -> None:

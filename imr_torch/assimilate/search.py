@@ -28,7 +28,8 @@ from imr_torch.assimilate.valleys import deeper_nuisances
 NEAR = 1.0
 """Posterior standard deviations from a minimum at which a chain keeps its leader, and a second start may set out."""
 
-_DAMPINGS = (0.0, 1.0, 30.0)  # tried together, times the current damping
+_DAMPINGS = (0.0, 1.0, 30.0)  # times the current damping; the others where the first does not do what it promises
+_KEPT = 0.5  # share of the promised decrease of the cost with which a step is taken without trying others
 _STUCK = 1e4  # damping at which nothing lowers the cost any more
 _LONGEST_STEP = 4.0  # prior standard deviations
 
@@ -190,7 +191,7 @@ class Search:
         return torch.cat((made[:, : 1 + moved], same, made[:, 1 + moved :]), 1)
 
     def _step(self, chains: Tensor, equations: NormalEquations) -> None:
-        """Try several dampings at once; take the best step if it lowers the cost."""
+        """Try steps of several dampings; take the best if it lowers the cost."""
         tried = torch.tensor(_DAMPINGS, dtype=torch.float64) * self.damping[chains, None]
         steps = [equations.step(tried[:, i]) for i in range(len(_DAMPINGS))]
         gel_step, nuisance_step = (torch.stack(parts, dim=1) for parts in zip(*steps, strict=True))
@@ -198,7 +199,11 @@ class Search:
         shorter = (_LONGEST_STEP / length.clamp_min(1e-300)).clamp_max(1.0)
         gel = self.gel[chains, None] + shorter * gel_step
         nuisances = self.nuisances[chains, None] + shorter[..., None] * nuisance_step
-        aim, cost = self._aim(chains, gel, nuisances, self._predict_led(chains, gel, nuisances))
+        aim, cost = (torch.full(tried.shape, torch.inf, dtype=torch.float64) for _ in range(2))
+        aim[:, :1], cost[:, :1] = self._try(chains, gel[:, :1], nuisances[:, :1])
+        poor = aim[:, 0] > self.aim[chains] - _KEPT * 0.5 * self.gradient[chains].square()
+        if bool(poor.any()):
+            aim[poor, 1:], cost[poor, 1:] = self._try(chains[poor], gel[poor, 1:], nuisances[poor, 1:])
         best, row = aim.min(dim=1)
         better = best < self.aim[chains] - 0.01 * self.options.gradient**2  # a fiftieth of what the tolerance leaves
         kept, at = chains[better], (torch.nonzero(better)[:, 0], row[better])
@@ -207,6 +212,10 @@ class Search:
         eased = self.damping[kept] * torch.tensor(_DAMPINGS, dtype=torch.float64)[row[better]]
         self.damping[kept] = torch.where(eased > 0.0, 0.3 * eased, 0.1 * self.damping[kept]).clamp(1e-6, 1e6)
         self._unstick(chains[~better])
+
+    def _try(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> tuple[Tensor, Tensor]:
+        """What chains lower, and the cost, at ``N`` points of each: two ``C x N`` tensors."""
+        return self._aim(chains, gel, nuisances, self._predict_led(chains, gel, nuisances))
 
     def _unstick(self, chains: Tensor) -> None:
         """Damp chains that found no better point; then give them a leader, which smooths their cost; then let them rest."""
