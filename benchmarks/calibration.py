@@ -46,6 +46,7 @@ PIXELS = Noise(scale=0.2, floor=0.015)  # .003 in R* everywhere
 ANSWERS = {"gaussian": "Gaussian answer", "reported": "what is reported", "weighed": "weighed draws"}
 LEVELS = (0.5, 0.9)
 SEED = 0
+_TOLD = 50  # replicates between lines of progress
 
 
 def _published(experiment: Experiment) -> ExperimentBatch:
@@ -146,7 +147,7 @@ def read(path: Path) -> list[Replicate]:
     return [found[number] for number in sorted(found)]
 
 
-def replicates(job: Job, count: int, folder: Path, at_once: int) -> list[Replicate]:
+def replicates(job: Job, count: int, folder: Path) -> list[Replicate]:
     """The first ``count`` replicates of a job; those that are missing are made and appended."""
     path = job.file(folder)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -154,12 +155,10 @@ def replicates(job: Job, count: int, folder: Path, at_once: int) -> list[Replica
     missing = [number for number in range(count) if number not in known]
     started = time.process_time()
     with path.open("a") as stream:
-        for done, replicate in enumerate(
-            calibrate(job.arrangement, job.simulator, missing, seed=job.seed, at_once=at_once), start=1
-        ):
+        for done, replicate in enumerate(calibrate(job.arrangement, job.simulator, missing, seed=job.seed), start=1):
             stream.write(json.dumps(asdict(replicate)) + "\n")
             stream.flush()
-            if done % at_once == 0 or done == len(missing):
+            if done % _TOLD == 0 or done == len(missing):
                 each = (time.process_time() - started) / done
                 print(f"  {path.stem}: {done} of {len(missing)}, {each:.2f} s of CPU each", flush=True)
     return [r for r in read(path) if r.number < count]
@@ -175,9 +174,9 @@ def places(found: list[Replicate], kind: str) -> Iterator[tuple[str, list[float]
         yield "log likelihood", values
 
 
-def ranks(job: Job, count: int, folder: Path, at_once: int) -> None:
+def ranks(job: Job, count: int, folder: Path) -> None:
     """Uniformity and coverage."""
-    every = replicates(job, count, folder, at_once)
+    every = replicates(job, count, folder)
     found = [r for r in every if r.failure is None]
     verdicts = Counter(r.verdict for r in found)
     print(f"{job.file(folder).stem}: {len(found)} replicates, {len(every) - len(found)} failed, {dict(verdicts)}")
@@ -197,11 +196,11 @@ def ranks(job: Job, count: int, folder: Path, at_once: int) -> None:
     save(figure, folder, f"ranks-{job.file(folder).stem}")
 
 
-def evidence(jobs: list[Job], count: int, folder: Path, at_once: int) -> None:
+def evidence(jobs: list[Job], count: int, folder: Path) -> None:
     """Reliability of the probability of the first model."""
     found = []
     for job in jobs:
-        mine = [r for r in replicates(job, count, folder, at_once) if r.failure is None]
+        mine = [r for r in replicates(job, count, folder) if r.failure is None]
         _tell(f"{job.case}, {job.repeats} repeats", mine)
         found += mine
     _tell("together", found)
@@ -231,13 +230,13 @@ def _tell(name: str, found: list[Replicate]) -> None:
         print("    stated {:.3f}  true in {:.3f} ({:.3f}-{:.3f})  of {}".format(*row))
 
 
-def gain(job: Job, designs: int, count: int, folder: Path, at_once: int) -> None:
+def gain(job: Job, designs: int, count: int, folder: Path) -> None:
     """Rank correlation of expected with realised information over space-filling designs."""
     points = draw_sobol_samples(DesignSpace().bounds, n=designs, q=1, seed=7)[:, 0]
     expected, realised, numbers = [], [], None
     for point in points:
         here = replace(job, design=(float(point[0]), float(point[1])))
-        found = {r.number: r.information for r in replicates(here, count, folder, at_once) if r.information is not None}
+        found = {r.number: r.information for r in replicates(here, count, folder) if r.information is not None}
         estimate = expected_information_gain(
             here.arrangement.prior, point[None], here.simulator, here.plan, estimator=Estimator(draws=256), seed=SEED
         )
@@ -285,7 +284,6 @@ def main() -> None:
     parser.add_argument("--designs", type=int, default=30, help="for gain")
     parser.add_argument("--physics", choices=tuple(SIMULATORS), default="polytropic")
     parser.add_argument("--variant", choices=VARIANTS, help="of the inference; for gain `quick`, else `default`")
-    parser.add_argument("--at-once", type=int, default=50, help="replicates simulated together")
     parser.add_argument("--out", type=Path, default=Path("out/calibration"), help="folder of results and figures")
     args = parser.parse_args()
     torch.set_num_threads(1)
@@ -297,13 +295,13 @@ def main() -> None:
         for repeats in args.repeats.split(",")
     ]
     if args.what == "evidence":
-        evidence(jobs, count, args.out, args.at_once)
+        evidence(jobs, count, args.out)
         return
     for job in jobs:
         if args.what == "ranks":
-            ranks(job, count, args.out, args.at_once)
+            ranks(job, count, args.out)
         else:
-            gain(job, args.designs, count, args.out, args.at_once)
+            gain(job, args.designs, count, args.out)
 
 
 if __name__ == "__main__":

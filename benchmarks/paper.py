@@ -42,13 +42,12 @@ def main() -> None:
     parser.add_argument("--seeds", default="0:5", metavar="FROM:TO", help="seeds of campaigns, TO not included")
     parser.add_argument("--designs", type=int, default=3)
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--at-once", type=int, default=10, help="campaigns side by side in each process")
     args = parser.parse_args()
     torch.set_num_threads(1)
     if args.part == "campaigns":
         first, last = (int(text) for text in args.seeds.split(":"))
         chosen = (args.case, args.policy, args.mode, range(first, last), args.designs)
-        paper_campaigns.run(args.out, *chosen, workers=args.workers, at_once=args.at_once)
+        paper_campaigns.run(args.out, *chosen, workers=args.workers)
     elif args.part in FIGURES:
         FIGURES[args.part](args.out)
     else:

@@ -92,14 +92,13 @@ def run(
     designs: int,
     *,
     workers: int = 1,
-    at_once: int = 1,
     quiet: bool = False,
 ) -> None:
     """Continue campaigns, a design of all seeds after the other, and keep the CPU time of each."""
     work, pool = study(folder, reference_case(case), policy, mode), process_pool(workers) if workers > 1 else None
     for count in range(1, designs + 1):
         waiting = [seed for seed in seeds if len(work.open(seed).steps) < count]
-        outcomes = run_campaigns(waiting, work, count, at_once=at_once, executor=pool, progress=None if quiet else print)
+        outcomes = run_campaigns(waiting, work, count, executor=pool, progress=None if quiet else print)
         for outcome in outcomes:
             with (Path(work.folder) / "cpu.jsonl").open("a") as stream:
                 stream.write(json.dumps(asdict(outcome)) + "\n")

@@ -4,8 +4,8 @@
 
 FOLDER holds one CSV file a gel, as `load_traces` reads them. Heat and vapour transport, wide prior over three models,
 Rmax, time zero and R_inf of each curve uncertain, noise estimated, window of two collapses. Records without a tail are given
-R_inf/Rmax = .2 +- .08. Gels are fitted side by side, their bubbles simulated together; each result is appended as it comes,
-so a run that was cut off continues. `--scores` adds held-out log densities, for which fits are made again.
+R_inf/Rmax = .2 +- .08. Each result is appended as it comes, so a run that was cut off continues. `--scores` adds held-out log
+densities, for which fits are made again.
 """
 
 import argparse
@@ -25,14 +25,7 @@ from imr_torch.characterize import Characterization, predictive_band, prepare
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.observe import NUISANCES, TraceSet, collapse_time, find_landmarks
 from imr_torch.plot import plot_experiment
-from imr_torch.simulate import (
-    Conditions,
-    PolytropicSimulator,
-    Simulator,
-    Solution,
-    TransportSimulator,
-    simulate_together,
-)
+from imr_torch.simulate import Conditions, PolytropicSimulator, Simulator, Solution, TransportSimulator
 
 REST = (0.2, 0.08)
 SEED = 0
@@ -44,7 +37,7 @@ _ONE_GEL = 0.2  # relative scatter of the first collapse times above which curve
 
 @dataclass
 class Counting:
-    """A simulator that counts what it is asked for: the cost of a fit when several run side by side."""
+    """A simulator that counts what it is asked for: the cost of a fit."""
 
     simulator: Simulator
     bubbles: int = 0
@@ -266,16 +259,14 @@ def run_missing(
     path: Path,
     simulator: Simulator,
     *,
-    at_once: int,
     line: Callable[[dict[str, Any]], str],
 ) -> list[dict[str, Any]]:
-    """Run the tasks that have no row in a file yet, side by side, and append theirs.
+    """Run the tasks that have no row in a file yet, and append theirs.
 
     Args:
         tasks: name of a set -> what makes its row.
         path: the file, one JSON row a line.
         simulator: makes the bubbles of all.
-        at_once: sets side by side.
         line: a row as a line of the table, printed as it comes.
 
     Returns:
@@ -285,7 +276,8 @@ def run_missing(
     rows = {row["set"]: row for row in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
     missing = [task for name, task in tasks.items() if name not in rows]
     with path.open("a") as stream:
-        for _, row in simulate_together(missing, simulator, at_once=at_once):
+        for task in missing:
+            row = task(simulator)
             stream.write(json.dumps(row) + "\n")
             stream.flush()
             rows[row["set"]] = row
@@ -303,14 +295,13 @@ def main() -> None:
     parser.add_argument("--physics", choices=tuple(SIMULATORS), default="full")
     parser.add_argument("--starts", type=int, default=2, help="searches per model")
     parser.add_argument("--scouts", type=int, default=96, help="prior draws from which searches start")
-    parser.add_argument("--at-once", type=int, default=6, help="gels fitted side by side")
     parser.add_argument("--out", type=Path, default=Path("out/real_data"), help="folder of results and figures")
     args = parser.parse_args()
     torch.set_num_threads(1)
     path = args.out / f"rows-{args.physics}-{args.curves}{'-scores' if args.scores else ''}.jsonl"
     options = EnsembleOptions(starts=args.starts, scouts=args.scouts, hopeless=_HOPELESS)
     tasks = {f.stem: Task(f, args.curves, args.scores, args.out, options) for f in chosen_files(args.folder, args.sets)}
-    rows = run_missing(tasks, path, SIMULATORS[args.physics](), at_once=args.at_once, line=_line)
+    rows = run_missing(tasks, path, SIMULATORS[args.physics](), line=_line)
     print("\n" + table(rows))
 
 

@@ -1,6 +1,6 @@
 """Where the base model fails on measured curves: every file of a folder through `diagnose`, with a page for each.
 
-  python benchmarks/real_gap.py FOLDER [--sets gelatin,pa] [--curves 2] [--collapses 4] [--base nhkv] [--at-once 4] [--out ...]
+  python benchmarks/real_gap.py FOLDER [--sets gelatin,pa] [--curves 2] [--collapses 4] [--base nhkv] [--out ...]
 
 FOLDER holds one CSV file a gel, as `load_traces` reads them. Heat and vapour transport, noise from the roughness of the curves,
 Rmax, time zero and R_inf of each curve uncertain, window of four collapses, as a gap may begin behind the two that are usual in
@@ -103,14 +103,13 @@ def main() -> None:
     parser.add_argument("--curves", type=int, default=2, help="most curves of a file, evenly spread; 0 for all")
     parser.add_argument("--collapses", type=int, default=4, help="in the window of a curve")
     parser.add_argument("--base", default="nhkv", help="model that is put to the test")
-    parser.add_argument("--at-once", type=int, default=4, help="gels diagnosed side by side")
     parser.add_argument("--out", type=Path, default=Path("out/real_gap"), help="folder of results and pages")
     args = parser.parse_args()
     torch.set_num_threads(1)
     files = chosen_files(args.folder, args.sets)
     tasks = {f.stem: Task(f, args.curves, args.collapses, args.base, args.out) for f in files}
     simulator = TransportSimulator(accuracy=ACCURACIES["search"])
-    rows = run_missing(tasks, args.out / "rows.jsonl", simulator, at_once=args.at_once, line=line)
+    rows = run_missing(tasks, args.out / "rows.jsonl", simulator, line=line)
     print("\n" + "\n".join([HEAD, *map(line, rows)]))
 
 

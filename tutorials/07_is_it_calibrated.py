@@ -26,8 +26,7 @@ OUT.mkdir(parents=True, exist_ok=True)
 
 # %% [markdown]
 # ## Your arrangement
-# What you believe, what you will shoot, and how you will film it. Replicates are simulated together, so a hundred of them
-# take about a minute, several times less than one after the other.
+# What you believe, what you will shoot, and how you will film it. Each replicate is one gel: drawn, shot and inferred.
 
 # %%
 plan = Plan(times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64), repeats=5)

@@ -27,8 +27,7 @@ from benchmarks.gap.sets import KINDS, PHYSICS, Task
 from benchmarks.gap.table import amounts, controls, read_lines, shares, table
 from imr_torch.errors import ConvergenceWarning, InputDataError
 from imr_torch.gap import library
-from imr_torch.gap.diagnose import impatient
-from imr_torch.simulate import process_pool, simulate_together
+from imr_torch.simulate import process_pool
 
 _OWN_SIZE = {"pair": "5x100", "next": "3x1"}
 
@@ -79,7 +78,7 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def run(path: Path, wanted: Iterable[Task], extras: Extras, *, workers: int = 1, at_once: int = 1) -> None:
+def run(path: Path, wanted: Iterable[Task], extras: Extras, *, workers: int = 1) -> None:
     """Run the sets that have no line yet and append theirs.
 
     Args:
@@ -87,12 +86,11 @@ def run(path: Path, wanted: Iterable[Task], extras: Extras, *, workers: int = 1,
         wanted: sets, of one physics.
         extras: parts beside the verdicts.
         workers: processes, of one thread each.
-        at_once: sets side by side in this process, whose bubbles are simulated together; in place of workers.
     """
     done = {line["key"] for line in read_lines(path)}
     left = [task for task in wanted if task.key not in done]
     print(f"{len(left)} sets to run; thresholds {frozen()}: {json.dumps(thresholds(), indent=1)}", flush=True)
-    lines = _side_by_side(left, extras, at_once) if at_once > 1 else _lines(partial(_run_alone, extras=extras), left, workers)
+    lines = _lines(partial(_run_alone, extras=extras), left, workers)
     for number, line in enumerate(lines, start=1):
         append(path, line)
         said = f"{line['verdict']} {', '.join(line['cause'])} (truth: {', '.join(line['truth']) or 'none'})"
@@ -105,16 +103,6 @@ def _run_alone(task: Task, extras: Extras) -> dict[str, Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # certificates are in the line
         return run_task(task, extras)
-
-
-def _side_by_side(left: Sequence[Task], extras: Extras, at_once: int) -> Iterator[dict[str, Any]]:
-    """Sets in this process, on one thread; lines as they come."""
-    torch.set_num_threads(1)
-    work = (partial(run_task, task, extras) for task in left)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        if left:
-            yield from (line for _, line in simulate_together(work, impatient(left[0].simulator()), at_once=at_once))
 
 
 def _lines(work: partial[dict[str, Any]], left: Sequence[Task], workers: int) -> Iterator[dict[str, Any]]:
@@ -143,7 +131,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     runs.add_argument("--effects", default="", metavar="NAME,...", help="a part of the library to draw from and to offer")
     runs.add_argument("--seed", type=int, default=0, help="of the first set; further sets count up")
     runs.add_argument("--workers", type=int, default=1, help="processes, a set at a time in each")
-    runs.add_argument("--at-once", type=int, default=1, help="sets side by side in this process, at less CPU each")
     runs.add_argument("--onset", action="store_true", help="also the phase of the onset")
     runs.add_argument("--shrinkage", action="store_true", help="also how far the gap shrinks on unseen designs")
     runs.add_argument("--no-baselines", action="store_true")
@@ -159,7 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         names[0], names[1], args.physics, args.sets, seed=args.seed, nuisances=args.nuisances, effects=tuple(names[2])
     )
     extras = Extras(args.onset, args.shrinkage, not args.no_baselines)
-    run(args.out, wanted, extras, workers=args.workers, at_once=args.at_once)
+    run(args.out, wanted, extras, workers=args.workers)
 
 
 def _score(args: argparse.Namespace) -> None:

@@ -63,13 +63,12 @@ def frozen() -> str:
     return hashlib.sha256(document.encode()).hexdigest()[:12]
 
 
-def run_task(task: Task, extras: Extras | None = None, simulator: Simulator | None = None) -> dict[str, Any]:
+def run_task(task: Task, extras: Extras | None = None) -> dict[str, Any]:
     """The line of a task, ready for JSON; what failed is in it, as an undecided verdict with the reason.
 
     Args:
         task: the set.
         extras: parts beside the verdict.
-        simulator: stands in for the task's own in the diagnosis (one of :func:`imr_torch.simulate.simulate_together`).
     """
     extras = extras or Extras()
     line: dict[str, Any] = {"key": task.key, "kind": task.kind, "size": task.size, "physics": task.physics}
@@ -77,11 +76,11 @@ def run_task(task: Task, extras: Extras | None = None, simulator: Simulator | No
     try:
         if task.kind == "next":
             no_verdict = {"gap": False, "verdict": "next", "cause": []}
-            return line | no_verdict | compare_designs(task, impatient(simulator or task.simulator()))
+            return line | no_verdict | compare_designs(task, impatient(task.simulator()))
         data = make_set(task)
         line |= {"truth": list(data.truth), "values": data.values, "signal": data.signal}
         line |= {"designs": [list(e.design) for e in data.experiments], "offered": len(data.offered)}
-        simulator, seed = simulator or task.simulator(), child(task.seed, "diagnosis", task.key)
+        simulator, seed = task.simulator(), child(task.seed, "diagnosis", task.key)
         report = diagnose(data.experiments, effects=data.offered, simulator=simulator, seed=seed)
         line |= summary(report)
         for part in _parts(data, report, simulator, seed, extras):

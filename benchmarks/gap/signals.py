@@ -6,7 +6,6 @@ from the fits under test: SciPy's trust-region least squares from the true gel.
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import partial
 
 import numpy as np
 import torch
@@ -17,7 +16,7 @@ from torch import Tensor
 from imr_torch.gap.locate import PHASES, phase_clock, phase_name
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, predict
-from imr_torch.simulate import Simulator, simulate_together
+from imr_torch.simulate import Simulator
 
 Vector = NDArray[np.float64]
 
@@ -45,9 +44,7 @@ def signals(
     if not effects:
         return []
     curves = predict(simulator, torch.stack([PARAMETERS.pack({**gel, **effect}) for effect in effects]), plan)
-    tasks = [partial(_refit, gel, curve, plan.mask, plan) for curve in curves]
-    found = dict(simulate_together(tasks, simulator))
-    return [found[i][0] for i in range(len(effects))]
+    return [_refit(gel, curve, plan.mask, plan, simulator)[0] for curve in curves]
 
 
 def signal_by_phase(
@@ -62,10 +59,7 @@ def signal_by_phase(
     phase = torch.tensor([[PHASES.index(phase_name(c)) for c in row] for row in clock.tolist()])
     _, whole = _refit(gel, curve, plan.mask, plan, simulator)
     parts = [plan.mask & (phase <= last) for last in range(len(PHASES))]
-    tasks = [partial(_refit, gel, curve, frames, plan, start=start) for frames in parts for start in (None, whole)]
-    found = dict(simulate_together(tasks, simulator))
-    lengths = [found[i][0] for i in range(len(tasks))]
-    return [min(pair) for pair in zip(lengths[::2], lengths[1::2], strict=True)]
+    return [min(_refit(gel, curve, frames, plan, simulator, start=start)[0] for start in (None, whole)) for frames in parts]
 
 
 def _refit(

@@ -1,8 +1,7 @@
-"""Hybrid ensemble 4D-Var: fit the gel to whole R(t) records, several models and experiments in one batched solve.
+"""Hybrid ensemble 4D-Var: fit the gel to whole R(t) records, several models and experiments at once.
 
 Gauss-Newton on the joint cost of gel and nuisances, with sensitivities from a narrow ensemble about the current point
-(Spratt et al., J. Mech. Phys. Solids 152, 2021; Bocquet & Sakov 2013). All models x starts x members x experiments are
-stacked into one call of the simulator per iteration. Truncation needs no care: the controls are unbounded.
+(Spratt et al., J. Mech. Phys. Solids 152, 2021; Bocquet & Sakov 2013). Truncation needs no care: the controls are unbounded.
 
 Against the published method the likelihood is that of all repeats and frames, the prior enters once, and a step is
 taken only if it lowers the exact cost; see :mod:`imr_torch.assimilate.fit` for the certificate each fit carries.
@@ -49,7 +48,8 @@ def assimilate(
         seed: of scouts and ensembles.
         options: how to search.
         near: an assimilation of the same belief and experiments (with another noise, say) to start from, in place of
-            scouts; the starts are then perturbed copies of its optimum.
+            scouts; the starts are then perturbed copies of its optimum or, of a fit that did not converge, where its starts
+            ended.
         starts: per model, two or more rows of ``d`` controls ``v`` (see :class:`imr_torch.assimilate.ModelFit`) to start from,
             in place of scouts.
         nuisances: per model, ``E x 3`` standardised nuisances with which its starts begin; zero by default.
@@ -89,7 +89,7 @@ def assimilate(
     for fit in fits:
         if warn and not fit.certificate.converged:
             warnings.warn(f"{fit.model}: {fit.certificate}", ConvergenceWarning, stacklevel=2)
-    return Assimilation(belief, batch, fits)
+    return Assimilation(belief, batch, fits, search.ends())
 
 
 def _run(search: Search, race: Race, progress: Progress | None) -> None:

@@ -40,7 +40,7 @@ class Certificate:
         gradient: length of the gradient in posterior standard deviations; below the tolerance at a minimum.
         agreement: cost of the second best start minus that of the best, in nats; ``inf`` when only one start ended well.
         iterations: Gauss-Newton iterations of the best start.
-        failed_members: share of ensemble members whose solve failed.
+        failed_members: share of ensemble members whose solve failed, over all iterations.
         converged: whether gradient and agreement are within the tolerances asked for.
     """
 
@@ -182,11 +182,13 @@ class Assimilation:
         prior: belief before the data.
         batch: the data.
         fits: one per model, in the order of the belief.
+        ends: for each model where its starts ended, ``S x d`` controls and ``S x E x 3`` nuisances; empty where not known.
     """
 
     prior: Belief
     batch: ExperimentBatch
     fits: tuple[ModelFit, ...]
+    ends: tuple[tuple[Tensor, Tensor], ...] = ()
 
     @property
     def converged(self) -> bool:

@@ -5,9 +5,6 @@ every step has to be damped, and a hundred of them end nowhere. BFGS learns that
 Numerical Optimization, 2nd ed. 2006, chapter 6). It begins in coordinates in which the Gauss-Newton Hessian is the identity.
 """
 
-from dataclasses import replace
-from functools import partial
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -17,7 +14,6 @@ from torch import Tensor
 from imr_torch.assimilate.cost import equations_at, joint_cost, sides, uncertain
 from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.assimilate.problem import Problem
-from imr_torch.simulate import Simulator, simulate_together
 
 Vector = NDArray[np.float64]
 
@@ -30,7 +26,7 @@ _WALL = 1e10  # cost where a bubble fails: no step ends there
 
 
 def polish(problem: Problem, model: Tensor, gel: Tensor, nuisances: Tensor, spread: float) -> tuple[Tensor, Tensor]:
-    """Lower the joint cost of some points, each for itself, their bubbles together.
+    """Lower the joint cost of some points, one after the other.
 
     Args:
         problem: what is lowered.
@@ -42,18 +38,13 @@ def polish(problem: Problem, model: Tensor, gel: Tensor, nuisances: Tensor, spre
     Returns:
         Gels and nuisances where the points ended, near a minimum or as low as they came.
     """
-    points = zip(model, gel, nuisances, strict=True)
-    tasks = [partial(_lower, problem, *point, spread) for point in points]
-    ended = dict(simulate_together(tasks, problem.simulator))
-    rows = [ended[i] for i in range(len(tasks))]
-    return torch.stack([row[0] for row in rows]), torch.stack([row[1] for row in rows])
+    rows = [_lower(problem, *point, spread) for point in zip(model, gel, nuisances, strict=True)]
+    gels, shifts = zip(*rows, strict=True)
+    return torch.stack(gels), torch.stack(shifts)
 
 
-def _lower(
-    problem: Problem, model: Tensor, gel: Tensor, nuisances: Tensor, spread: float, simulator: Simulator
-) -> tuple[Tensor, Tensor]:
-    """One point's way down."""
-    problem = replace(problem, simulator=simulator)
+def _lower(problem: Problem, model: Tensor, gel: Tensor, nuisances: Tensor, spread: float) -> tuple[Tensor, Tensor]:
+    """Where the steps from one point end."""
     scale = torch.eye(problem.size, dtype=torch.float64) * spread
     for _ in range(_ROUNDS):
         whitened = _Whitened(problem, model, gel, nuisances, scale)

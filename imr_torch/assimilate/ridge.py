@@ -6,7 +6,7 @@ followed step by step (continuation by pseudo-arclength: Keller 1977), the other
 each point (a profile likelihood, as in Raue et al., Bioinformatics 25, 2009), until the profile has fallen by ``_DEEP`` on
 both sides. Kernels on the points, each along and as wide as the ridge is there, are the proposal.
 
-It need not be exact: every draw is weighed. Goes in: fits whose Gaussian did not stand.
+It need not be exact: every draw is weighed. Goes in: a fit whose Gaussian did not stand.
 """
 
 import math
@@ -114,35 +114,34 @@ def _lagrange(places: Tensor, at: Tensor) -> Tensor:
     return weights
 
 
-def trace_ridges(fits: list[ModelFit], batch: ExperimentBatch, simulator: Simulator) -> list[Kernels]:
-    """Follow the ridge of each fit to both sides, all of them together.
+def trace_ridge(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Kernels:
+    """Follow the ridge of a fit to both sides.
 
     Args:
-        fits: Gaussian answers; not changed.
+        fit: Gaussian answer; not changed.
         batch: the data.
-        simulator: makes the bubbles, a small bundle for each side and step.
+        simulator: makes the bubbles, a small bundle for each step.
 
     Returns:
-        A proposal for each.
+        A proposal.
     """
-    both: list[tuple[_Side, _Side]] = []
-    for fit in fits:
-        values, vectors = torch.linalg.eigh(fit.chol @ fit.chol.mT)
-        axis = values[-1].sqrt() * vectors[:, -1]
-        both.append((_Side(fit, -axis), _Side(fit, axis)))
-    while fronts := [(side, pair) for pair in both for side in pair if not side.ended]:
-        waiting = {number: side.ahead() for number, (side, _) in enumerate(fronts)}
-        fitted: dict[int, _Point] = {}
-        for _ in range(_PASSES):
-            points, along = zip(*waiting.values(), strict=True)
-            made = _step([fronts[number][0].fit for number in waiting], list(points), list(along), batch, simulator)
-            fitted |= dict(zip(waiting, made, strict=True))
-            waiting = {n: (fitted[n], way) for n, (_, way) in waiting.items() if _NEAR < fitted[n].promised < math.inf}
-            if not waiting:
-                break
-        for number, (side, pair) in enumerate(fronts):
-            side.add(fitted[number], min(p.cost for one in pair for p in one.points))
-    return [_kernels([*reversed(below.points), *above.points[1:]], below.fit) for below, above in both]
+    values, vectors = torch.linalg.eigh(fit.chol @ fit.chol.mT)
+    axis = values[-1].sqrt() * vectors[:, -1]
+    below, above = _Side(fit, -axis), _Side(fit, axis)
+    while fronts := [side for side in (below, above) if not side.ended]:
+        for side in fronts:
+            point = _fitted(fit, *side.ahead(), batch, simulator)
+            side.add(point, min(p.cost for p in (*below.points, *above.points)))
+    return _kernels([*reversed(below.points), *above.points[1:]], fit)
+
+
+def _fitted(fit: ModelFit, point: _Point, along: Tensor, batch: ExperimentBatch, simulator: Simulator) -> _Point:
+    """A point fitted across the ridge, as far as a few steps go."""
+    for _ in range(_PASSES):
+        point = _step(fit, point, along, batch, simulator)
+        if not _NEAR < point.promised < math.inf:
+            break
+    return point
 
 
 def _kernels(points: list[_Point], fit: ModelFit) -> Kernels:
@@ -172,31 +171,22 @@ def _across(way: Tensor) -> Tensor:
     return torch.linalg.qr(way[:, None], mode="complete").Q[:, 1:]
 
 
-def _step(
-    fits: list[ModelFit], points: list[_Point], along: list[Tensor], batch: ExperimentBatch, simulator: Simulator
-) -> list[_Point]:
-    """A Gauss-Newton step across the ridge at each point, of each its fit and its direction along."""
-    size, moved = max(len(fit.mean) for fit in fits), sides(batch)
-    parameters, nuisances, anomalies = [], [], []
-    for fit, point in zip(fits, points, strict=True):
-        anomaly = torch.nn.functional.pad(_SPREAD * fit.chol.mT, (0, 0, 0, size - len(point.gel)))
-        here = point.gel.expand(1 + size + len(moved), -1).clone()
-        here[1 : 1 + size] += anomaly
-        own = point.nuisances.expand(len(here), -1, -1).clone()
-        own[1 + size :] += moved
-        parameters.append(fit.parameters(here))
-        nuisances.append(own)
-        anomalies.append(anomaly)
-    shifts = torch.stack(nuisances) * batch.nuisance_sds
-    possible = possible_nuisances(shifts, batch).flatten(1).all(1)
-    shifts = torch.where(possible[:, None, None, None], shifts, 0.0)
-    predictions = predict(simulator, torch.stack(parameters), batch, shifts if len(moved) else None, bundled=True)
-    predictions = torch.where(batch.mask, predictions, 0.0)
-    known = possible & torch.isfinite(predictions).flatten(1).all(1)
-    return [
-        _stepped(point, way, batch, anomaly, prediction) if ok else replace(point, promised=math.inf)
-        for point, way, anomaly, prediction, ok in zip(points, along, anomalies, predictions, known.tolist(), strict=True)
-    ]
+def _step(fit: ModelFit, point: _Point, along: Tensor, batch: ExperimentBatch, simulator: Simulator) -> _Point:
+    """A Gauss-Newton step across the ridge at a point, given the direction along it."""
+    anomalies, moved = _SPREAD * fit.chol.mT, sides(batch)
+    count = len(anomalies)
+    gels = point.gel.expand(1 + count + len(moved), -1).clone()
+    gels[1 : 1 + count] += anomalies
+    shifts = point.nuisances.expand(len(gels), -1, -1).clone()
+    shifts[1 + count :] += moved
+    shifts *= batch.nuisance_sds
+    if not bool(possible_nuisances(shifts, batch).all()):
+        return replace(point, promised=math.inf)
+    prediction = predict(simulator, fit.parameters(gels), batch, shifts if len(moved) else None, bundled=True)
+    prediction = torch.where(batch.mask, prediction, 0.0)
+    if not bool(torch.isfinite(prediction).all()):
+        return replace(point, promised=math.inf)
+    return _stepped(point, along, batch, anomalies, prediction)
 
 
 def _stepped(point: _Point, along: Tensor, batch: ExperimentBatch, anomalies: Tensor, prediction: Tensor) -> _Point:

@@ -1,9 +1,9 @@
 """The chains of an ensemble 4D-Var, several to a model, and one Gauss-Newton iteration of them.
 
-All models x starts x members x experiments are stacked into one call of the simulator an iteration. The ensemble advances in
-lock step with its centre, so that its differences are the solver's own sensitivities. Close to a minimum a chain also keeps
-its *leader*, the point whose solution decides on the steps of all others: the cost is then a smooth function, equal to itself
-from iteration to iteration and between starts, where solves that each decide for themselves leave some 1e-4 in R*.
+The starts of a model are simulated together, their members and experiments too. The ensemble advances in lock step with its
+centre, so that its differences are the solver's own sensitivities. Close to a minimum a chain also keeps its *leader*, the
+point whose solution decides on the steps of all others: the cost is then a smooth function, equal to itself from iteration to
+iteration and between starts, where solves that each decide for themselves leave some 1e-4 in R*.
 
 Chains that set out from scouts are *blunt* at first (:mod:`imr_torch.assimilate.blunt`), until they are near a minimum.
 Which chains are under way is decided elsewhere (:mod:`imr_torch.assimilate.race`).
@@ -28,10 +28,10 @@ from imr_torch.assimilate.valleys import deeper_nuisances
 NEAR = 1.0
 """Posterior standard deviations from a minimum at which a chain keeps its leader, and a second start may set out."""
 
-_DAMPINGS = (0.0, 1.0, 30.0)  # tried together, times the current damping
+_DAMPINGS = (0.0, 1.0, 30.0)  # times the current damping; the others where the first does not do what it promises
+_KEPT = 0.5  # share of the promised decrease of the cost with which a step is taken without trying others
 _STUCK = 1e4  # damping at which nothing lowers the cost any more
 _LONGEST_STEP = 4.0  # prior standard deviations
-_AHEAD = 300  # bubbles for whose sake it pays to take the neighbourhoods of all trial steps along, and save a call
 
 
 def _antithetic(members: int, size: int, source: torch.Generator) -> Tensor:
@@ -77,15 +77,25 @@ class Search:
         self.equations: list[NormalEquations | None] = [None] * chains
         self.around: dict[int, tuple[Tensor, Tensor]] = {}  # chain -> anomalies and predictions about where it stands
 
+    @property
+    def reach(self) -> float:
+        """Nats by which a chain may lag behind the best of any model and still go on."""
+        if self.options.best_only:
+            return 0.0
+        return math.inf if self.options.hopeless is None else self.options.hopeless
+
     def _predict_led(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
         """Predictions ``C x N x E x T`` of ``N`` points of each chain, behind its leader or, where it has none, each alone."""
-        led = self.led[chains, None]
-        if not bool(led.any()):
-            return self.problem.predict(self.model[chains], gel, nuisances)
-        gel_leader = torch.where(led[..., None], self.leader_gel[chains, None], gel)
-        nuisance_leader = torch.where(led[..., None, None], self.leader_nuisances[chains, None], nuisances)
-        pairs = torch.stack((gel_leader, gel), 2), torch.stack((nuisance_leader, nuisances), 2)
-        return self.problem.predict(self.model[chains], *pairs, bundled=True)[:, :, 1]
+        led = self.led[chains]
+        made = torch.empty(*gel.shape[:2], *self.batch.mask.shape, dtype=torch.float64)
+        if not bool(led.all()):
+            made[~led] = self.problem.predict(self.model[chains[~led]], gel[~led], nuisances[~led])
+        if bool(led.any()):
+            own = chains[led]
+            gel = torch.cat((self.leader_gel[own, None], gel[led]), 1)
+            nuisances = torch.cat((self.leader_nuisances[own, None], nuisances[led]), 1)
+            made[led] = self.problem.predict(self.model[own], gel, nuisances, bundled=True)[:, 1:]
+        return made
 
     def iterate(self) -> None:
         """One Gauss-Newton iteration of the chains that are not finished."""
@@ -115,6 +125,8 @@ class Search:
         gel, nuisances = self.gel[chains], self.nuisances[chains]
         aim, cost = self._aim(chains, gel[:, None], nuisances[:, None], prediction[:, :1])
         self.aim[chains], self.cost[chains] = aim[:, 0], cost[:, 0]
+        self.members += prediction[..., 0].numel()
+        self.failures += int((~torch.isfinite(prediction)).any(-1).sum())
         whole = equations_at(self.batch, gel, nuisances, anomalies, prediction)
         bluntly = self.bluntly[chains]
         if not bool(bluntly.any()):
@@ -137,9 +149,15 @@ class Search:
     def _look_around(self, chains: Tensor) -> None:
         """Simulate the neighbourhoods of chains; one whose bubbles cannot follow its leader's goes without."""
         gel, nuisances = self.gel[chains, None], self.nuisances[chains, None]
-        made = self._neighbourhoods(chains, gel, nuisances)
-        self._keep(chains, made[:, 0])
-        lost = torch.isinf(joint_cost(self.batch, gel, nuisances, made[:, :, 0]))[:, 0] & self.led[chains]
+        anomalies = self.anomalies @ self.chol[chains].mT
+        made = torch.empty(len(chains), 1 + len(self.anomalies) + len(self.sides), *self.batch.mask.shape, dtype=torch.float64)
+        for model in self.model[chains].unique().tolist():
+            for led in (False, True):
+                rows = (self.model[chains] == model) & (self.led[chains] == led)
+                if bool(rows.any()):
+                    made[rows] = self._neighbourhoods(chains[rows], anomalies[rows], len(self.belief.models[model].names), led)
+        self.around |= dict(zip(chains.tolist(), zip(anomalies, made, strict=True), strict=True))
+        lost = torch.isinf(joint_cost(self.batch, gel, nuisances, made[:, :1]))[:, 0] & self.led[chains]
         if bool(lost.any()):
             self.led[chains[lost]] = False
             self._look_around(chains[lost])
@@ -152,33 +170,35 @@ class Search:
         blunt = joint_cost(self._blunt.batch, gel, nuisances, self._blunt.seen(prediction))
         return torch.where(self.bluntly[chains, None], blunt, cost), cost
 
-    def _keep(self, chains: Tensor, predictions: Tensor) -> None:
-        """Keep what is known about where chains stand now; predictions as in :meth:`_neighbourhoods`, one point a chain."""
-        anomalies = self.anomalies @ self.chol[chains].mT
-        self.around |= dict(zip(chains.tolist(), zip(anomalies, predictions, strict=True), strict=True))
-
     def _forget(self, chains: Tensor) -> None:
         """Forget what was known about where chains stood, or under which leader."""
         for chain in chains.tolist():
             self.around.pop(chain, None)
 
-    def _neighbourhoods(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
-        """Predictions ``C x P x (1 + N + S) x E x T`` about ``P`` points of each chain: there, members, moved nuisances."""
-        anomalies, led = (self.anomalies @ self.chol[chains].mT)[:, None], self.led[chains, None]
-        centre, own = gel[:, :, None], nuisances[:, :, None]
-        leader = torch.where(led[..., None], self.leader_gel[chains, None], gel)[:, :, None]
-        controls = (leader, centre, centre + anomalies, centre.expand(-1, -1, len(self.sides), -1))
-        leader = torch.where(led[..., None, None], self.leader_nuisances[chains, None], nuisances)[:, :, None]
-        shifted = (leader, own, own.expand(-1, -1, anomalies.shape[2], -1, -1), own + self.sides)
-        alone = not bool(led.any())  # then each centre leads itself
-        bundle = (torch.cat(parts[alone:], 2) for parts in (controls, shifted))
-        prediction = self.problem.predict(self.model[chains], *bundle, bundled=True)[:, :, not alone :]
-        self.members += prediction[..., 0].numel()
-        self.failures += int((~torch.isfinite(prediction)).any(-1).sum())
-        return prediction
+    def _neighbourhoods(self, chains: Tensor, anomalies: Tensor, free: int, led: bool) -> Tensor:
+        """Predictions ``C x (1 + N + S) x E x T`` where chains of a model stand, of members, and of moved nuisances.
+
+        Args:
+            chains: all of one model.
+            anomalies: ``C x N x size`` tensor.
+            free: controls of that model. Members that move other controls only are what the centre is.
+            led: whether each has a leader; else its centre leads.
+        """
+        count = len(self.anomalies)
+        moved = free if self.options.members is None else count
+        centre, own = self.gel[chains, None], self.nuisances[chains, None]
+        controls = [centre, centre + anomalies[:, :moved], centre.expand(-1, len(self.sides), -1)]
+        shifted = [own, own.expand(-1, moved, -1, -1), own + self.sides]
+        if led:
+            controls.insert(0, self.leader_gel[chains, None])
+            shifted.insert(0, self.leader_nuisances[chains, None])
+        made = self.problem.predict(self.model[chains], torch.cat(controls, 1), torch.cat(shifted, 1), bundled=True)
+        made = made[:, int(led) :]
+        same = made[:, :1].expand(-1, count - moved, -1, -1)
+        return torch.cat((made[:, : 1 + moved], same, made[:, 1 + moved :]), 1)
 
     def _step(self, chains: Tensor, equations: NormalEquations) -> None:
-        """Try several dampings at once; take the best step if it lowers the cost."""
+        """Try steps of several dampings; take the best if it lowers the cost."""
         tried = torch.tensor(_DAMPINGS, dtype=torch.float64) * self.damping[chains, None]
         steps = [equations.step(tried[:, i]) for i in range(len(_DAMPINGS))]
         gel_step, nuisance_step = (torch.stack(parts, dim=1) for parts in zip(*steps, strict=True))
@@ -186,20 +206,23 @@ class Search:
         shorter = (_LONGEST_STEP / length.clamp_min(1e-300)).clamp_max(1.0)
         gel = self.gel[chains, None] + shorter * gel_step
         nuisances = self.nuisances[chains, None] + shorter[..., None] * nuisance_step
-        ahead = gel[..., 0].numel() * nuisances.shape[2] * (1 + len(self.anomalies) + len(self.sides)) <= _AHEAD
-        around = self._neighbourhoods(chains, gel, nuisances) if ahead else None
-        prediction = self._predict_led(chains, gel, nuisances) if around is None else around[:, :, 0]
-        aim, cost = self._aim(chains, gel, nuisances, prediction)
+        aim, cost = (torch.full(tried.shape, torch.inf, dtype=torch.float64) for _ in range(2))
+        aim[:, :1], cost[:, :1] = self._try(chains, gel[:, :1], nuisances[:, :1])
+        poor = aim[:, 0] > self.aim[chains] - _KEPT * 0.5 * self.gradient[chains].square()
+        if bool(poor.any()):
+            aim[poor, 1:], cost[poor, 1:] = self._try(chains[poor], gel[poor, 1:], nuisances[poor, 1:])
         best, row = aim.min(dim=1)
         better = best < self.aim[chains] - 0.01 * self.options.gradient**2  # a fiftieth of what the tolerance leaves
         kept, at = chains[better], (torch.nonzero(better)[:, 0], row[better])
         self.gel[kept], self.nuisances[kept], self.cost[kept] = gel[at], nuisances[at], cost[at]
         self._forget(kept)
-        if around is not None:
-            self._keep(kept, around[at])
         eased = self.damping[kept] * torch.tensor(_DAMPINGS, dtype=torch.float64)[row[better]]
         self.damping[kept] = torch.where(eased > 0.0, 0.3 * eased, 0.1 * self.damping[kept]).clamp(1e-6, 1e6)
         self._unstick(chains[~better])
+
+    def _try(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> tuple[Tensor, Tensor]:
+        """What chains lower, and the cost, at ``N`` points of each: two ``C x N`` tensors."""
+        return self._aim(chains, gel, nuisances, self._predict_led(chains, gel, nuisances))
 
     def _unstick(self, chains: Tensor) -> None:
         """Damp chains that found no better point; then give them a leader, which smooths their cost; then let them rest."""
@@ -235,8 +258,7 @@ class Search:
 
         Those of a model that the best has left behind stay where they are.
         """
-        reach = math.inf if self.options.hopeless is None else self.options.hopeless
-        crawling = ~self.finished & ~self.bluntly & (self.gradient > polish.NEAR) & (self.cost < self.cost.min() + reach)
+        crawling = ~self.finished & ~self.bluntly & (self.gradient > polish.NEAR) & (self.cost <= self.cost.min() + self.reach)
         each = (torch.nonzero(crawling & (self.model == model))[:, 0] for model in range(len(self.belief.models)))
         chains = torch.cat([rows[torch.argsort(self.cost[rows])][:2] for rows in each])
         if chains.numel():
@@ -271,6 +293,11 @@ class Search:
         best = torch.tensor([self._best(i) for i in range(len(self.belief.models))])
         predictions = self._predict_led(best, self.gel[best, None], self.nuisances[best, None])[:, 0]
         return tuple(self._fit(chain, prediction) for chain, prediction in zip(best.tolist(), predictions, strict=True))
+
+    def ends(self) -> tuple[tuple[Tensor, Tensor], ...]:
+        """For each model the controls (``S x d``) and nuisances (``S x E x 3``) where its starts are."""
+        each = [(self.model == i, len(part.names)) for i, part in enumerate(self.belief.models)]
+        return tuple((self.gel[rows, :free].clone(), self.nuisances[rows].clone()) for rows, free in each)
 
     def _best(self, model: int) -> int:
         """The start of a model with the lowest cost; of equals, the one that converged furthest."""

@@ -4,7 +4,7 @@ Each fit's Gaussian, with heavier tails, proposes draws that are weighed by the 
 out for each draw and each experiment by importance sampling from their conditional Gaussian, with heavier tails too, in
 opposite pairs, which cancels its skewness; the product over experiments is without bias (pseudo-marginal: Andrieu & Roberts,
 Ann. Stat. 37, 2009). That Gaussian is at first the fit's, moved linearly with the gel, and after the first round each draw's
-own. Draws of all models are simulated in one call a round. A model whose Gaussian does not stand gets another round about the
+own. A model whose Gaussian does not stand gets another round about the
 ridge that its posterior lies on (:mod:`~imr_torch.assimilate.ridge`), then with proposals made from all its weighed draws,
 until one stands.
 
@@ -21,9 +21,9 @@ from torch import Tensor
 from imr_torch.assimilate.conditional import conditional_nuisances, possible_nuisances
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.importance import ImportanceSample, smooth
-from imr_torch.assimilate.lower import has_a_better_draw, lower_minima
+from imr_torch.assimilate.lower import has_a_better_draw, lower_minima, lowest_cost
 from imr_torch.assimilate.proposals import Kernels, mixture_log_prob, student_draws, student_log_prob
-from imr_torch.assimilate.ridge import trace_ridges
+from imr_torch.assimilate.ridge import trace_ridge
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import child, generator
@@ -119,8 +119,9 @@ def weigh(
             but where nuisances are uncertain the third has as many, each with four times the nuisances.
         rounds: most rounds; a model stops when the weights are reliable and their moments those that the proposal was
             made for, which after the first round are those of the fit's Gaussian.
-        hopeless: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
-            evidence is, by weights that can be leant on.
+        hopeless: a model gets one round only, and is not fitted again, if its optimum is worse than the best one's by more than
+            this, nats, or if its evidence is, by weights that can be leant on; its most probable draw counts as its optimum
+            where a fit from there is in question.
         refit: whether a model of which a draw comes upon a lower minimum is fitted again from there, and weighed anew.
         progress: called with one line per round.
 
@@ -138,17 +139,16 @@ def weigh(
     waiting, number = courses, 0
     while waiting:
         number += 1
-        _propose(waiting, batch, simulator)
-        draws = [_draw(course, batch, samples, seed, simulator) for course in waiting]
-        for course, part in zip(waiting, _simulate([c.fit for c in waiting], draws, batch, simulator), strict=True):
-            course.parts.append(part)
+        for course in waiting:
+            course.proposals.append(_proposal(course, batch, simulator))
+            course.parts.append(_simulate(course.fit, _draw(course, batch, samples, seed, simulator), batch, simulator))
             course.drawn += 1
-            course.fit = _judge(course.fit, course.proposals[-1], part)
+            course.fit = _judge(course.fit, course.proposals[-1], course.parts[-1])
         if progress:
             progress(f"draws: round {number}, " + ", ".join(f"{c.fit.model} {c.fit.trust}" for c in waiting))
         if refit:
-            _fit_again(waiting, courses, batch, simulator, child(seed, "refit", number), progress)
-        ahead = _ahead([course.fit for course in courses], hopeless)
+            _fit_again(waiting, courses, batch, simulator, child(seed, "refit", number), hopeless, progress)
+        ahead = _ahead([course.fit for course in courses], {c.fit.model: c.fit.cost for c in courses}, hopeless)
         waiting = [c for c in waiting if not c.parts or (c.refused and len(c.parts) < rounds and c.fit.model in ahead)]
     return replace(assimilation, fits=tuple(course.fit for course in courses))
 
@@ -159,11 +159,15 @@ def _fit_again(
     batch: ExperimentBatch,
     simulator: Simulator,
     seed: int,
+    hopeless: float | None,
     progress: Progress | None,
 ) -> None:
     """Take lower minima that the last round's draws of some of the courses came upon in place of their fits."""
     best = min(course.fit.cost for course in courses)
-    doubtful = [course for course in drawn if course.refits < _REFITS and has_a_better_draw(course.fit, best)]
+    possible = [course for course in drawn if course.refits < _REFITS and has_a_better_draw(course.fit, best)]
+    lowest = {course.fit.model: lowest_cost(course.fit) for course in courses}
+    ahead = _ahead([course.fit for course in courses], lowest, hopeless)
+    doubtful = [course for course in possible if course.fit.model in ahead]
     if not doubtful:
         return
     lower = lower_minima([course.fit for course in doubtful], batch, simulator, seed=seed, progress=progress)
@@ -173,26 +177,23 @@ def _fit_again(
             course.fit, course.proposals, course.parts = lower[course.fit.model], [], []
 
 
-def _propose(courses: list[_Course], batch: ExperimentBatch, simulator: Simulator) -> None:
-    """Add the proposal of the next round: the fit's Gaussian, then its ridge, then one from all its draws so far."""
-    second = [course for course in courses if len(course.parts) == 1]
-    ridges = iter(trace_ridges([course.fit for course in second], batch, simulator) if second else ())
-    for course in courses:
-        if not course.parts:
-            proposal = Kernels.about(course.fit.mean, course.fit.chol)
-        else:
-            proposal = next(ridges) if len(course.parts) == 1 else _again(course.proposals, course.parts)
-        course.proposals.append(proposal)
+def _proposal(course: _Course, batch: ExperimentBatch, simulator: Simulator) -> Kernels:
+    """The proposal of the next round: the fit's Gaussian, then its ridge, then one from all its draws so far."""
+    if not course.parts:
+        return Kernels.about(course.fit.mean, course.fit.chol)
+    if len(course.parts) == 1:
+        return trace_ridge(course.fit, batch, simulator)
+    return _again(course.proposals, course.parts)
 
 
-def _ahead(fits: list[ModelFit], hopeless: float | None) -> set[str]:
-    """Models that are worth further rounds: neither by optimum nor by evidence far behind the best."""
+def _ahead(fits: list[ModelFit], costs: dict[str, float], hopeless: float | None) -> set[str]:
+    """Models that are worth further rounds: neither by their lowest cost nor by evidence far behind the best."""
     if hopeless is None:
         return {fit.model for fit in fits}
     samples = {fit.model: fit.sample for fit in fits if fit.sample is not None and fit.sample.reliable}
     evidence = {model: sample.log_evidence for model, sample in samples.items()}
-    best, most = min(fit.cost for fit in fits), max(evidence.values(), default=-math.inf)
-    near = {fit.model for fit in fits if fit.cost <= best + hopeless}
+    best, most = min(costs.values()), max(evidence.values(), default=-math.inf)
+    near = {model for model, cost in costs.items() if cost <= best + hopeless}
     return near - {model for model, value in evidence.items() if value < most - hopeless}
 
 
@@ -230,19 +231,16 @@ def _standard_log_prob(values: Tensor) -> Tensor:
     return -0.5 * (values.square() + math.log(2.0 * math.pi))
 
 
-def _simulate(fits: list[ModelFit], draws: list[_Draws], batch: ExperimentBatch, simulator: Simulator) -> list[_Round]:
-    """Likelihoods of the draws of all models, in one call of the simulator."""
-    uncertain = bool((batch.nuisance_sds > 0.0).any())
-    counts = [d.nuisances.shape[:2] for d in draws]
-    gels = [fit.parameters(d.controls).repeat_interleave(k, 0) for fit, d, (_, k) in zip(fits, draws, counts, strict=True)]
-    shifts = torch.cat([d.nuisances.flatten(0, 1) for d in draws]) * batch.nuisance_sds
+def _simulate(fit: ModelFit, draws: _Draws, batch: ExperimentBatch, simulator: Simulator) -> _Round:
+    """Likelihoods of the draws of a model."""
+    count = draws.nuisances.shape[:2]
+    gels = fit.parameters(draws.controls).repeat_interleave(count[1], 0)
+    shifts = draws.nuisances.flatten(0, 1) * batch.nuisance_sds
     possible = possible_nuisances(shifts, batch)
-    shifts = torch.where(possible[..., None], shifts, 0.0) if uncertain else None
-    prediction = predict(simulator, torch.cat(gels), batch, shifts)
+    uncertain = bool((batch.nuisance_sds > 0.0).any())
+    prediction = predict(simulator, gels, batch, torch.where(possible[..., None], shifts, 0.0) if uncertain else None)
     likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0))
-    likelihood = torch.where(possible, likelihood, -torch.inf)
-    rows = zip(draws, likelihood.split([n * k for n, k in counts]), counts, strict=True)
-    return [_integrate(d, values.unflatten(0, count)) for d, values, count in rows]
+    return _integrate(draws, torch.where(possible, likelihood, -torch.inf).unflatten(0, count))
 
 
 def _integrate(draws: _Draws, likelihood: Tensor) -> _Round:

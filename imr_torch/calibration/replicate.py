@@ -5,7 +5,7 @@ data (Talts et al., arXiv 1804.06788, 2018; with the log likelihood as a further
 2025), and a model that is given probability P is the true one in a share P of all cases. In goes an arrangement, out comes
 a :class:`Replicate` for each gel, which :mod:`imr_torch.calibration.statistics` judges.
 
-One replicate serves all these questions, and replicates are simulated together.
+One replicate serves all these questions.
 """
 
 import math
@@ -24,7 +24,7 @@ from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, SimulatedLaboratory, collapse_time
 from imr_torch.random import child, generator
 from imr_torch.select import evidences, update
-from imr_torch.simulate import Simulator, simulate_together
+from imr_torch.simulate import Simulator
 
 _ATTEMPTS = 50
 
@@ -75,7 +75,7 @@ class Replicate:
         converged: whether every model's fit carries a clean certificate.
         redrawn: gels before this one that could not be simulated.
         failure: why there is no inference, and nothing of the above; None if there is.
-        seconds: processor time from begin to end, that of others meanwhile included.
+        seconds: processor time.
     """
 
     number: int
@@ -96,9 +96,7 @@ class Replicate:
     seconds: float = 0.0
 
 
-def calibrate(
-    arrangement: Arrangement, simulator: Simulator, numbers: Iterable[int], *, seed: int, at_once: int = 32
-) -> Iterator[Replicate]:
+def calibrate(arrangement: Arrangement, simulator: Simulator, numbers: Iterable[int], *, seed: int) -> Iterator[Replicate]:
     """Replicates of an arrangement.
 
     Args:
@@ -107,14 +105,12 @@ def calibrate(
         numbers: which replicates; each depends on the seed and its number alone. Gels and noise of a number are the same
             at every design of one prior.
         seed: of everything random.
-        at_once: replicates that are simulated together.
 
     Yields:
-        Replicates as they end.
+        Replicates, in the order of their numbers.
     """
-    tasks = (partial(_replicate, arrangement, number, child(seed, "replicate", number)) for number in numbers)
-    for _, replicate in simulate_together(tasks, simulator, at_once=at_once):
-        yield replicate
+    for number in numbers:
+        yield _replicate(arrangement, number, child(seed, "replicate", number), simulator)
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,8 @@
 """Many campaigns on one gel, a seed each, over any ``concurrent.futures.Executor`` of processes.
 
 What a seed draws (designs, noise, ensembles) depends on the seed alone and every campaign runs on one thread, so results
-are the same at any number of workers. Campaigns that run side by side in one process share calls of the simulator, which
-makes small batches cheap and changes a bubble by rounding. Each has a folder and journal of its own: a study that was cut
-off, or is to have more designs or seeds, is run again and continues.
+are the same at any number of workers. Each has a folder and journal of its own: a study that was cut off, or is to have more
+designs or seeds, is run again and continues.
 """
 
 import os
@@ -12,8 +11,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +19,11 @@ import torch
 from torch import Tensor
 
 from imr_torch.campaign.loop import Campaign, CampaignSettings
-from imr_torch.errors import InputDataError, UnsupportedError
+from imr_torch.errors import UnsupportedError
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, SimulatedLaboratory
 from imr_torch.random import child
-from imr_torch.simulate import Simulator, simulate_together
+from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 
@@ -54,22 +52,17 @@ class Study:
         folder = Path(self.folder) / f"seed_{seed:04d}"
         return Campaign(folder, self.prior, self.simulator, settings=self.settings, seed=seed, note=self.note)
 
-    def run(self, seed: int, designs: int, *, simulator: Simulator | None = None) -> Campaign:
+    def run(self, seed: int, designs: int) -> Campaign:
         """Continue the campaign of a seed until it has ``designs`` experiments or its rule ends it.
 
         Args:
             seed: which.
             designs: experiments in all.
-            simulator: stands in for the study's own and makes the same bubbles (one of :func:`simulate_together`, say).
         """
-        campaign, laboratory = self.open(seed), self.laboratory
-        if simulator is not None:
-            campaign.simulator = simulator
-            if laboratory.simulator == self.simulator:
-                laboratory = replace(laboratory, simulator=simulator)
+        campaign = self.open(seed)
 
         def shoot(design: Tensor, number: int) -> Experiment:
-            return laboratory.shoot(design, seed=child(seed, "shoot", number))
+            return self.laboratory.shoot(design, seed=child(seed, "shoot", number))
 
         campaign.run(shoot, designs)
         return campaign
@@ -83,7 +76,7 @@ class Outcome:
         seed: which.
         designs: experiments told so far.
         made: of which in this run.
-        cpu_seconds: CPU time that this run took, shared evenly by the seeds side by side; 0 when not known.
+        cpu_seconds: CPU time that this run took; 0 when not known.
         error: why it went no further, if it was not meant to stop there; run the study again to continue.
     """
 
@@ -99,19 +92,17 @@ def run_campaigns(
     study: Study,
     designs: int,
     *,
-    at_once: int = 1,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> tuple[Outcome, ...]:
     """Run the campaigns of many seeds.
 
-    A seed that fails costs the others nothing; one whose worker dies, those side by side with it their last step.
+    A seed that fails, or whose worker dies, costs the others nothing.
 
     Args:
         seeds: all different.
         study: what they have in common.
         designs: experiments each is to have in all.
-        at_once: campaigns side by side in a process, whose bubbles are simulated together: the cheaper, the more.
         executor: processes (:func:`imr_torch.simulate.process_pool`, Dask, MPI); this process when None. Threads are refused:
             BoTorch seeds a generator that all of them share.
         progress: called with a line per seed.
@@ -120,14 +111,11 @@ def run_campaigns(
         An outcome per seed, in their order. The campaigns are in their folders: ``study.open(seed)``.
 
     Raises:
-        InputDataError: if a folder holds the journal of another campaign, or ``at_once`` is not positive.
+        InputDataError: if a folder holds the journal of another campaign.
         UnsupportedError: if the executor works with threads.
     """
-    if at_once < 1:
-        raise InputDataError(f"run_campaigns: at_once is {at_once}; expected at least 1.")
-    groups = [tuple(seeds[first : first + at_once]) for first in range(0, len(seeds), at_once)]
     found: dict[int, Outcome] = {}
-    for outcome in _outcomes(groups, study, designs, executor):
+    for outcome in _outcomes(seeds, study, designs, executor):
         found[outcome.seed] = outcome
         if progress:
             error = f", then {outcome.error}" if outcome.error else ""
@@ -135,49 +123,35 @@ def run_campaigns(
     return tuple(found[seed] for seed in seeds)
 
 
-def _outcomes(groups: Sequence[tuple[int, ...]], study: Study, designs: int, executor: Executor | None) -> Iterator[Outcome]:
-    """Run each group of seeds in a task of its own; outcomes as they come."""
+def _outcomes(seeds: Sequence[int], study: Study, designs: int, executor: Executor | None) -> Iterator[Outcome]:
+    """Run each seed in a task of its own; outcomes as they come."""
     home = os.getpid()
     if executor is None:
-        for group in groups:
-            yield from _attempt(study, group, designs, home)
+        yield from (_attempt(study, seed, designs, home) for seed in seeds)
         return
-    futures = {executor.submit(_attempt, study, group, designs, home): group for group in groups}
+    futures = {executor.submit(_attempt, study, seed, designs, home): seed for seed in seeds}
     for future in as_completed(futures):
         try:
-            yield from future.result()
+            yield future.result()
         except UnsupportedError:
             raise
         except Exception as error:  # the worker died, or could not read its task
-            why = f"{type(error).__name__}: {error}"
-            yield from (Outcome(seed, len(study.open(seed).experiments), error=why) for seed in futures[future])
+            seed = futures[future]
+            yield Outcome(seed, len(study.open(seed).experiments), error=f"{type(error).__name__}: {error}")
 
 
-def _attempt(study: Study, group: tuple[int, ...], designs: int, home: int) -> list[Outcome]:
-    """Some seeds side by side in a worker."""
+def _attempt(study: Study, seed: int, designs: int, home: int) -> Outcome:
+    """One seed in a worker."""
     if os.getpid() == home and threading.current_thread() is not threading.main_thread():
         raise UnsupportedError("run_campaigns was given threads, which share BoTorch's generator; give it processes.")
-    before, started = [len(study.open(seed).experiments) for seed in group], time.process_time()
+    before, started, error = len(study.open(seed).experiments), time.process_time(), None
     with _one_thread():
-        if len(group) == 1:
-            errors: dict[int, str | None] = {0: _run(study, group[0], designs)}
-        else:
-            tasks = [partial(_run, study, seed, designs) for seed in group]
-            errors = dict(simulate_together(tasks, study.simulator, at_once=len(group)))
-    share, outcomes = (time.process_time() - started) / len(group), []
-    for number, seed in enumerate(group):
-        after = len(study.open(seed).experiments)
-        outcomes.append(Outcome(seed, after, after - before[number], share, errors[number]))
-    return outcomes
-
-
-def _run(study: Study, seed: int, designs: int, simulator: Simulator | None = None) -> str | None:
-    """One seed; what went wrong, if anything did."""
-    try:
-        study.run(seed, designs, simulator=simulator)
-    except Exception as problem:
-        return f"{type(problem).__name__}: {problem}"
-    return None
+        try:
+            study.run(seed, designs)
+        except Exception as problem:
+            error = f"{type(problem).__name__}: {problem}"
+    after = len(study.open(seed).experiments)
+    return Outcome(seed, after, after - before, time.process_time() - started, error)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.design.gain import Estimator, InformationGain, Method
-from imr_torch.design.gaussian import importance, laplace, laplace_each
+from imr_torch.design.gaussian import importance, laplace
 from imr_torch.design.nested import nested, paper
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Shot
@@ -79,8 +79,7 @@ def gains_of_each(
 ) -> list[InformationGain]:
     """Gain of shooting each of ``n`` designs alone, all from the same draws.
 
-    The same as :func:`expected_information_gain` of one after the other with one seed. With the method ``laplace`` all
-    bubbles are one batch, of which each costs less (``benchmarks/RESULTS.md``).
+    The same as :func:`expected_information_gain` of one after the other with one seed.
 
     Args:
         belief: as there.
@@ -96,11 +95,7 @@ def gains_of_each(
     Raises:
         ShapeError: if ``designs`` is not ``n x 2``.
     """
-    chosen = estimator or Estimator()
-    if chosen.method == "laplace" and designs.ndim == 2 and designs.shape[0] > 1 and designs.shape[1] == 2:
-        with torch.no_grad():
-            return laplace_each(Shot(belief, designs, simulator, plan), chosen, seed)
-    return [expected_information_gain(belief, X, simulator, plan, estimator=chosen, seed=seed) for X in designs.split(1)]
+    return [expected_information_gain(belief, X, simulator, plan, estimator=estimator, seed=seed) for X in designs.split(1)]
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ Gaussians (Beck et al., CMAME 334, 2018); a finite number of them leaves the val
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -24,7 +24,6 @@ from imr_torch.design.gain import Estimator, InformationGain, Terms, summarise
 from imr_torch.design.likelihood import Data, Linear, infer, log_likelihood, observe
 from imr_torch.design.response import Response, Shot, radii, respond
 from imr_torch.material import ModelBelief
-from imr_torch.random import generator
 
 _LONGEST_STEP = 4.0  # standard deviations of the belief
 _SHORTER = 0.3  # of a Gauss-Newton step, tried beside the whole one
@@ -108,22 +107,6 @@ def _draw(shot: Shot, draws: int, source: torch.Generator) -> _Drawn:
 def laplace(shot: Shot, estimator: Estimator, source: torch.Generator) -> InformationGain:
     """The gain from linearised posteriors and evidences alone."""
     drawn = _observed(_respond(shot, _bent_controls(shot, estimator.draws, source)), shot, source)
-    return _linearised(drawn, shot, estimator)
-
-
-def laplace_each(shot: Shot, estimator: Estimator, seed: int) -> list[InformationGain]:
-    """The gain of each design of a shot *alone*, as :func:`laplace` has it, with the bubbles of all simulated together."""
-    responses = _respond(shot, _bent_controls(shot, estimator.draws, generator(seed)))
-    gains = []
-    for number in range(len(shot.designs)):
-        source, alone = generator(seed), replace(shot, designs=shot.designs[number : number + 1])
-        _bent_controls(shot, estimator.draws, source)  # so that the noise is the one that follows them
-        drawn = _observed([seen.of_design(number) for seen in responses], alone, source)
-        gains.append(_linearised(drawn, alone, estimator))
-    return gains
-
-
-def _linearised(drawn: _Drawn, shot: Shot, estimator: Estimator) -> InformationGain:
     own = [infer(drawn.data[rows], part, shot.plan) for rows, part in zip(drawn.rows, drawn.parts, strict=True)]
     logs = [_linear_evidence(drawn, i, own[i], shot) for i in range(len(own))]
     total = _mixture(logs, shot)

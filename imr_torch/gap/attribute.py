@@ -11,7 +11,6 @@ how often an unknown effect hides behind one or two known ones, and by the bound
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from torch import Tensor
 
@@ -23,7 +22,7 @@ from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, gen
 from imr_torch.material import Effect, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
-from imr_torch.simulate import Simulator, simulate_together
+from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 PRIOR_NONE, PRIOR_OTHER = 0.5, 0.1
@@ -195,14 +194,9 @@ def adequacy_test(
     """The gap test at a fit, of effects that it does not hold and of the generic blocks."""
     line = linearise(fit, batch, simulator)
     others = [effect for effect in effects if not set(effect.names) & set(fit.prior.names)]
-
-    def of_effects(simulator: Simulator) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        directions = effect_directions(others, fit, batch, simulator, line)
-        return directions, refitted_directions(others, fit, batch, simulator, line, directions)
-
-    tasks = (of_effects, lambda s: generic_blocks(fit, batch, s, line))
-    found: dict[int, Any] = dict(simulate_together(tasks, simulator))
-    (directions, beside), generic = found[0], found[1]
+    directions = effect_directions(others, fit, batch, simulator, line)
+    beside = refitted_directions(others, fit, batch, simulator, line, directions)
+    generic = generic_blocks(fit, batch, simulator, line)
     blocks = [block(name, rows, line) for name, rows in beside.items()]
     starts = {effect.name: promising_starts(effect, beside[effect.name], line) for effect in others}
     return Adequacy(gap_test([*blocks, *generic], line, seed=seed), starts, line, directions)

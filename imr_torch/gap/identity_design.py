@@ -9,7 +9,6 @@ nominal value the best design is that of one gel, which need not be this one. It
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import torch
 from torch import Tensor
@@ -27,7 +26,7 @@ from imr_torch.design import (
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.material import LIBRARY, Belief
 from imr_torch.random import child
-from imr_torch.simulate import Simulator, simulate_together
+from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 _LEFT = 0.02  # a cause less probable than this is not worth an experiment
@@ -140,29 +139,28 @@ def identity_design(
     space = space or DesignSpace()
     designs = _grid(space, grid)
 
-    def evaluate(design: Tensor, label: str, simulator: Simulator) -> InformationGain:
+    def evaluate(design: Tensor, label: str) -> InformationGain:
         estimator = Estimator(draws=draws)
         information = IdentityInformation(
             belief, simulator, plan=plan, space=space, estimator=estimator, seed=child(seed, label)
         )
         return information.estimate(design[None])
 
-    gains: dict[int, InformationGain] = {}
-    for number, gain in simulate_together([partial(evaluate, design, "grid") for design in designs], simulator):
-        gains[number] = gain
-        if progress:
-            we, rinf_star = designs[number].tolist()
-            progress(f"next design {len(gains)}/{len(designs)}: We {we:.0f}, R_inf* {rinf_star:.3f}: {gain.value:.3f} nats")
-    found = [gains[number] for number in range(len(designs))]
+    found: list[InformationGain] = []
     optimizer = DesignOptimizer(space, seed=child(seed, "surrogate"))
-    for design, gain in zip(designs, found, strict=True):
+    for design in designs:
+        gain = evaluate(design, "grid")
+        found.append(gain)
         tell_gain(optimizer, design, gain)
+        if progress:
+            we, rinf_star = design.tolist()
+            progress(f"next design {len(found)}/{len(designs)}: We {we:.0f}, R_inf* {rinf_star:.3f}: {gain.value:.3f} nats")
     if len(optimizer.train_X) < 2:
         raise ConvergenceError(
             f"Too many bubbles failed at {len(designs) - len(optimizer.train_X)} of {len(designs)} designs; narrow the space."
         )
     best = optimizer.recommend().design
-    gain = evaluate(best, "best", simulator)
+    gain = evaluate(best, "best")
     return NextDesign(
         design=best,
         gain=gain.value,

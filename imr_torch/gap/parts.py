@@ -3,9 +3,8 @@
 Each part is optional: a report says of one that was not run that it was not.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from imr_torch.errors import ConvergenceError
 from imr_torch.gap.attribute import Attribution
@@ -19,7 +18,7 @@ from imr_torch.gap.windows import MovingWindows, moving_windows
 from imr_torch.material import LIBRARY
 from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.random import child
-from imr_torch.simulate import Simulator, simulate_together
+from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 
@@ -67,16 +66,15 @@ def examine(
     fit, batch, line, directions = report.null, report.batch, report.line, report.directions
     if progress:
         progress("location, shrinkage, next design")
-    tasks: dict[str, Callable[[Simulator], Any]] = {
-        "onset": lambda s: onset(fit, line, batch, s, seed=child(seed, "onset"), directions=directions),
-        "by_experiment": lambda s: by_experiment(fit, line, batch, s, seed=child(seed, "experiments"), directions=directions),
-        "latent": lambda s: latent_pressure(fit, line, batch, s),
-        "windows": lambda s: moving_windows(fit, line, batch, s),
-        "shrinkage": lambda s: _shrunk(report, s, unseen, seed, progress),
-        "next_design": lambda s: _next(report, s, seed, progress),
-    }
-    names = tuple(tasks)
-    return Parts(**{names[i]: part for i, part in simulate_together(tasks.values(), simulator)})
+    here = (fit, line, batch, simulator)
+    return Parts(
+        onset=onset(*here, seed=child(seed, "onset"), directions=directions),
+        by_experiment=by_experiment(*here, seed=child(seed, "experiments"), directions=directions),
+        latent=latent_pressure(*here),
+        windows=moving_windows(*here),
+        shrinkage=_shrunk(report, simulator, unseen, seed, progress),
+        next_design=_next(report, simulator, seed, progress),
+    )
 
 
 def _shrunk(

@@ -12,7 +12,6 @@ the difference in held-out log predictive density (Vehtari, Gelman & Gabry, Stat
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import torch
 from scipy.stats import chi2
@@ -26,7 +25,7 @@ from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.select import default_folds
-from imr_torch.simulate import Simulator, simulate_together
+from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 _BOOTSTRAP = 2000
@@ -255,22 +254,13 @@ def _hold_out(
 ) -> dict[str, list[HeldOut]]:
     """Held-out predictions of every design by every hypothesis, in the order of the designs."""
     count = len(batch.experiments)
-    groups = default_folds(count)
-
-    def judge(number: int, simulator: Simulator) -> dict[tuple[str, int], HeldOut]:
-        out = groups[number]
+    parts: dict[tuple[str, int], HeldOut] = {}
+    for number, out in enumerate(default_folds(count)):
         training = [i for i in range(count) if i not in out]
         trained = _train(fits, training, batch, simulator, child(seed, "fold", number))
-        pairs = [(name, i) for name in trained for i in out]
-        tasks = [partial(held_out, trained[name], _part(batch, [i])) for name, i in pairs]
-        return {pairs[number]: found for number, found in simulate_together(tasks, simulator)}
-
-    parts: dict[tuple[str, int], HeldOut] = {}
-    tasks = [partial(judge, number) for number in range(len(groups))]
-    for number, found in simulate_together(tasks, simulator):
-        parts |= found
+        parts |= {(name, i): held_out(fit, _part(batch, [i]), simulator) for name, fit in trained.items() for i in out}
         if progress:
-            progress(f"shrinkage: judged on {', '.join(batch.experiments[i].label for i in groups[number])}")
+            progress(f"shrinkage: judged on {', '.join(batch.experiments[i].label for i in out)}")
     return {name: [parts[name, i] for i in range(count)] for name in fits}
 
 

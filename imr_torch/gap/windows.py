@@ -8,7 +8,6 @@ others and a baseline, not a verdict.
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 import torch
 from scipy.stats import chi2
@@ -20,7 +19,7 @@ from imr_torch.gap.linear import Linearisation
 from imr_torch.gap.locate import frames_between
 from imr_torch.gap.restrict import moved, refit, restrict
 from imr_torch.observe import ExperimentBatch
-from imr_torch.simulate import Simulator, simulate_together
+from imr_torch.simulate import Simulator
 
 _STEPS = 2
 _LONGEST = 2.0  # prior standard deviations that a window may move at once
@@ -81,8 +80,8 @@ def moving_windows(
         )
     starts = torch.linspace(0.0, end - width, windows, dtype=torch.float64)
     frames = [frames_between(batch, start, start + width + 1e-9) for start in starts.tolist()]
-    found = dict(simulate_together([partial(_window, fit, line, batch, steps, f) for f in frames], simulator))
-    controls, maps = (torch.stack(parts) for parts in zip(*(found[i] for i in range(windows)), strict=True))
+    found = [_window(fit, line, batch, steps, f, simulator) for f in frames]
+    controls, maps = (torch.stack(parts) for parts in zip(*found, strict=True))
     sd = maps.norm(dim=2)
     values, low, high = (_physical(fit, controls + step * sd) for step in (0.0, -1.0, 1.0))
     drift, p_constant = _constancy(starts, controls, maps)

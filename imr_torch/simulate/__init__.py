@@ -37,7 +37,6 @@ from imr_torch.simulate.simulator import (
     solve_batch,
     solve_bundles,
 )
-from imr_torch.simulate.together import simulate_together
 from imr_torch.simulate.transport import ACCURACIES, Accuracy, TransportSimulator
 
 __all__ = [
@@ -81,7 +80,6 @@ __all__ = [
     "preset",
     "process_pool",
     "sensitivities",
-    "simulate_together",
     "solve_batch",
     "solve_bundles",
 ]

@@ -22,7 +22,7 @@ LINEAR = Arrangement(prior(("nhkv", "gen_qkv")), (400.0, 0.2), PLAN, samples=64,
 
 def run(count, *, learn=None, plan=PLAN, simulator=None, arrangement=LINEAR):
     changed = replace(arrangement, learn=learn, plan=plan)
-    return list(calibrate(changed, simulator or LinearSimulator(), range(count), seed=3, at_once=count))
+    return list(calibrate(changed, simulator or LinearSimulator(), range(count), seed=3))
 
 
 def pooled(replicates, kind, name):
@@ -105,7 +105,7 @@ def test_that_information_comes_as_expected():
 
 
 def test_that_a_replicate_depends_on_its_number_alone():
-    few = {r.number: r for r in calibrate(LINEAR, LinearSimulator(), [5, 2], seed=3, at_once=1)}
+    few = {r.number: r for r in calibrate(LINEAR, LinearSimulator(), [5, 2], seed=3)}
     many = {r.number: r for r in run(8)}
     for number in (2, 5):
         assert few[number].model == many[number].model

@@ -45,28 +45,10 @@ def test_any_number_of_workers_writes_the_same_journals_and_more_designs_continu
     assert len(journals(tmp_path / "alone")) == 2
 
 
-def test_campaigns_side_by_side_come_to_the_same_and_continue_each_other(tmp_path):
-    """Only a bubble's batch differs, so by rounding; a seed alone may go on where one in company ended, and the reverse."""
-    run_campaigns([4, 2, 7], study(tmp_path / "alone"), 2)
-    outcomes = run_campaigns([4, 2, 7], study(tmp_path / "together"), 1, at_once=2)
-    assert [(o.seed, o.designs, o.made, o.error) for o in outcomes] == [(4, 1, 1, None), (2, 1, 1, None), (7, 1, 1, None)]
-    assert outcomes[0].cpu_seconds == outcomes[1].cpu_seconds > 0.0
-    run_campaigns([7, 4, 2], study(tmp_path / "together"), 2, at_once=2)
-    for seed in (4, 2, 7):
-        alone, together = (study(tmp_path / name).open(seed) for name in ("alone", "together"))
-        for one, other in zip(alone.experiments, together.experiments, strict=True):
-            assert one.design == pytest.approx(other.design, rel=1e-6)
-        for one, other in zip(alone.steps, together.steps, strict=True):
-            assert one.belief.probabilities == pytest.approx(other.belief.probabilities, rel=1e-6)
-            for part, same in zip(one.belief.models, other.belief.models, strict=True):
-                torch.testing.assert_close(part.mean, same.mean, rtol=1e-6, atol=1e-9)
-
-
-@pytest.mark.parametrize("at_once", [1, 4])
-def test_a_seed_that_fails_says_why_and_costs_the_others_nothing(tmp_path, at_once):
+def test_a_seed_that_fails_says_why_and_costs_the_others_nothing(tmp_path):
     """A laboratory that cannot shoot gels at some designs: the outcome is told, and what was learnt is in the journal."""
     broken = study(tmp_path, policy=Random(), truth=Picky())
-    outcomes = run_campaigns(range(8), broken, 2, at_once=at_once)
+    outcomes = run_campaigns(range(8), broken, 2)
     failed = [o for o in outcomes if o.error]
     assert 0 < len(failed) < 8
     for outcome in outcomes:
@@ -86,11 +68,6 @@ class Picky(LinearSimulator):
 def test_threads_are_refused(tmp_path):
     with ThreadPoolExecutor(1) as pool, pytest.raises(UnsupportedError, match="given threads, which share BoTorch's generator"):
         run_campaigns([0], study(tmp_path), 1, executor=pool)
-
-
-def test_that_at_once_must_be_positive(tmp_path):
-    with pytest.raises(InputDataError, match="at_once is 0"):
-        run_campaigns([0], study(tmp_path), 1, at_once=0)
 
 
 def test_the_journal_of_another_study_is_refused(tmp_path):

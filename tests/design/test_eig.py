@@ -256,16 +256,6 @@ def test_gains_of_several_designs_each_alone_are_those_of_one_after_the_other(me
         assert (each.counted < each.drawn) == (limit < math.inf)
 
 
-def test_gains_of_several_bubbles_together_are_those_of_each_alone():
-    """Full solves: members of a batch do not know of each other."""
-    belief, designs = reference_case("stiff-pa").prior, torch.tensor([[200.0, 0.28], [900.0, 0.15]], dtype=torch.float64)
-    simulator, estimator = PolytropicSimulator(stepping=Stepping(0.25)), Estimator(draws=3)
-    found = gains_of_each(belief, designs, simulator, plan(), estimator=estimator, seed=1)
-    for each, design in zip(found, designs, strict=True):
-        alone = expected_information_gain(belief, design[None], simulator, plan(), estimator=estimator, seed=1)
-        assert each.value == pytest.approx(alone.value, rel=1e-6)
-
-
 def test_a_model_of_negligible_probability_costs_nothing():
     sure = Belief(TWO.models, torch.tensor([-30.0, 0.0], dtype=torch.float64))
     found = gain(sure, DESIGNS[:1], plan(), Estimator("laplace", draws=6))
