@@ -116,17 +116,23 @@ def _scope(function: Any, module: types.ModuleType, bound: dict[Any, Any]) -> di
     return scope
 
 
-def is_cached(module: types.ModuleType, entry: str) -> bool:
-    """Whether an entry point of an engine seems to be compiled already."""
+def _cached(module: types.ModuleType, entry: str) -> list[Path]:
+    """The files in which an entry point of an engine is kept in compiled form."""
     assert module.__file__ is not None
-    return any((Path(module.__file__).parent / "__pycache__").glob(f"engine.{entry}-*.nbc"))
+    return list((Path(module.__file__).parent / "__pycache__").glob(f"engine.{entry}-*.nb?"))
 
 
 def announced(module: types.ModuleType, entry: str, arguments: Sequence[Any]) -> Any:
     """Call an entry point; where it has to be compiled first, say so and how long it took."""
     function = getattr(module, entry)
-    if function.signatures or is_cached(module, entry):
+    if function.signatures:
         return function(*arguments)
+    if cached := _cached(module, entry):
+        try:
+            return function(*arguments)
+        except Exception:  # whatever unpickling half a file raises; what is wrong with the arguments is raised again below
+            for path in cached:
+                path.unlink(missing_ok=True)
     print(f"imr_torch: compiling {entry} (once on this machine, about half a minute) ...", file=sys.stderr, flush=True)
     begin = time.perf_counter()
     result = function(*arguments)

@@ -108,7 +108,7 @@ def march(numbers, theta, terms, effects, setup, h, share, max_steps, last, time
                 left = gas_before + share_after * (state[gas] - gas_before)
                 curves[2, j] = contents(curves[0, j], curves[1, j], left, member, setup)[0]
             gas_before = state[gas]
-        if state[2] >= last:
+        if state[2] >= last and step > 0:  # output takes two nodes
             return _DONE, step
         if step >= max_steps:
             return _TOO_MANY, step

@@ -547,7 +547,7 @@ def solve_bundle(numbers, theta, terms, effects, setup, space, tolerance, max_st
         behind = False
         for k in range(width):
             behind |= clock[k] < last
-        if not behind or (clock[0] >= PATIENCE * last and clock[0] >= last):
+        if count > 1 and (not behind or (clock[0] >= PATIENCE * last and clock[0] >= last)):  # output takes two nodes
             status = _DONE
         elif state[0, 0] > RUNAWAY:
             status = _RUNAWAY

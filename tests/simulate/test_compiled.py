@@ -1,0 +1,289 @@
+"""The compiled engine against the tensor engine: every law of the registries, the same steps, the same answer."""
+
+import os
+import subprocess
+import sys
+import textwrap
+import warnings
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from imr_torch.elementary import Scalar
+from imr_torch.errors import EngineWarning, InputDataError
+from imr_torch.material import LIBRARY, MATERIALS, PARAMETERS, TERMS, StressTerm
+from imr_torch.material.viscous import newtonian
+from imr_torch.observe import predict  # noqa: F401 - the whole library of effects
+from imr_torch.simulate import (
+    PRESETS,
+    RADIAL_EQUATIONS,
+    Accuracy,
+    Conditions,
+    GasMixture,
+    GaussianPulse,
+    Medium,
+    PolytropicGas,
+    PolytropicSimulator,
+    Resolution,
+    SineDriving,
+    Status,
+    Stepping,
+    TabulatedDriving,
+    TransportSimulator,
+    engines,
+)
+from tests.simulate.bubble import gel, gel_of, grid, tensor
+
+SAME = 1e-9  # in R*, where both take the same steps; rounding grows at each collapse
+TIMES = grid(2.2, 45)
+DESIGNS = tensor([300.0, 0.3], [700.0, 0.18])
+EFFECTS = [effect for effect in LIBRARY.values() if effect.physical or {t.switch for t in TERMS} & set(effect.names)]
+LAWS = [term for term in TERMS if not any(term.switch in model.names for model in MATERIALS.values())]
+CLOSURES = {
+    **PRESETS,
+    "cold gel": Conditions(medium=Medium(warm=False)),
+    "dry gas": Conditions(mixture=GasMixture(vapour="absent")),
+    "constant vapour": Conditions(mixture=GasMixture(vapour="constant")),
+    "frozen vapour": Conditions(mixture=GasMixture(vapour="frozen")),
+    "gas at rest, no vapour": Conditions(gas=PolytropicGas(1.4, "rest", vapour=False)),
+    "sine": Conditions(driving=SineDriving(2e4, 3e4, 0.3)),
+    "pulse": Conditions(driving=GaussianPulse(3e4, 2e-5, 1e-5)),
+    "table": Conditions(driving=TabulatedDriving((0.0, 1e-5, 3e-5, 5e-5), (0.0, 1e4, -5e3, 0.0))),
+    "moving start": Conditions(initial_velocity=-0.5),
+}
+SIMULATORS = pytest.mark.parametrize("kind", [TransportSimulator, PolytropicSimulator], ids=["transport", "polytropic"])
+
+
+def both(kind, gels: Tensor, designs: Tensor = DESIGNS, times: Tensor = TIMES, **options):
+    """Solutions of the two engines."""
+    engines = (kind(engine=engine, **options) for engine in ("compiled", "torchdiffeq"))
+    return tuple(simulator(gels, designs, times) for simulator in engines)
+
+
+def assert_same(kind, gels: Tensor, designs: Tensor = DESIGNS, **options) -> None:
+    """Everything a solution holds, and that something happened."""
+    ours, reference = both(kind, gels, designs, **options)
+    assert torch.equal(ours.status, reference.status)
+    assert bool(ours.ok.all())
+    if kind is TransportSimulator:
+        assert torch.equal(ours.steps, reference.steps)
+    assert float((ours.radius - reference.radius).abs().max()) < SAME
+    scale = 1.0 + reference.velocity.abs()
+    assert float(((ours.velocity - reference.velocity).abs() / scale).max()) < 1e2 * SAME
+    assert float((ours.bubble_pressure / reference.bubble_pressure - 1.0).abs().max()) < 1e3 * SAME
+    assert float(ours.radius.min()) < 0.5
+
+
+@SIMULATORS
+@pytest.mark.parametrize("model", MATERIALS)
+def test_that_every_material_is_the_same(kind, model: str) -> None:
+    assert_same(kind, gel_of(model))
+
+
+@SIMULATORS
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_that_every_effect_is_the_same(kind, effect) -> None:
+    """At its first start; and it must matter, or the test compares nothing."""
+    values = {"G": 4e3, "mu": 0.08} | dict(zip(effect.names, effect.starts[0], strict=True))
+    assert_same(kind, gel(**values))
+    acting, plain = (kind()(gel(**v), DESIGNS, TIMES).radius for v in (values, {"G": 4e3, "mu": 0.08}))
+    assert not torch.equal(acting, plain)
+
+
+@SIMULATORS
+@pytest.mark.parametrize("term", LAWS, ids=lambda term: term.name)
+def test_that_every_other_term_is_the_same(kind, term: StressTerm) -> None:
+    entry = PARAMETERS[term.switch]
+    amplitude = {"Pa": 1e3}.get(entry.unit, 0.01)
+    assert_same(kind, gel(**{"G": 4e3, "mu": 0.08, "alpha": 0.1, term.switch: amplitude}))
+
+
+@SIMULATORS
+@pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
+def test_that_every_radial_equation_is_the_same(kind, motion) -> None:
+    assert_same(kind, gel(G=4e3, mu=0.08, wall=0.1), conditions=Conditions(motion=motion, driving=SineDriving(1e4, 2e4)))
+
+
+@SIMULATORS
+@pytest.mark.parametrize("conditions", CLOSURES.values(), ids=CLOSURES)
+def test_that_all_conditions_are_the_same(kind, conditions: Conditions) -> None:
+    assert_same(kind, gel(G=4e3, mu=0.08), conditions=conditions)
+
+
+@SIMULATORS
+def test_that_a_batch_of_all_materials_is_the_same_as_each_alone_bit_for_bit(kind) -> None:
+    gels = torch.stack([gel_of(model) for model in MATERIALS])
+    together = kind(threads=1)(gels, DESIGNS[0], TIMES)
+    for member, row in enumerate(gels):
+        alone = kind(threads=1)(row, DESIGNS[0], TIMES)
+        for name in ("radius", "velocity", "bubble_pressure", "status", "steps"):
+            assert torch.equal(getattr(alone, name), getattr(together, name)[member])
+
+
+@SIMULATORS
+def test_that_threads_change_no_bit(kind) -> None:
+    gels = torch.stack([gel_of(model) for model in MATERIALS]).repeat(10, 1)
+    one, three = (kind(threads=threads)(gels, DESIGNS[1], TIMES).radius for threads in (1, 3))
+    assert torch.equal(one, three)
+
+
+@pytest.mark.parametrize(
+    "accuracy", [Accuracy(1e-3, Resolution(9, 12)), Accuracy(1e-5, Resolution(24, 17))], ids=["9, 12", "24, 17"]
+)
+def test_that_grids_of_any_size_are_the_same(accuracy: Accuracy) -> None:
+    assert_same(TransportSimulator, gel(G=4e3, mu=0.08, tau=2e-6), accuracy=accuracy)
+
+
+@SIMULATORS
+@pytest.mark.parametrize("model", ["nhkv", "zener"])
+def test_that_bundles_are_the_same_and_leaders_as_without_followers(kind, model: str) -> None:
+    bundle = gel_of(model).repeat(2, 5, 1)
+    bundle[:, 1:, PARAMETERS.index(["G"])] *= 1.0 + 1e-4 * torch.arange(1, 5, dtype=torch.float64)[:, None]
+    designs = DESIGNS[:, None]
+    ours, reference = (kind(engine=engine).bundle(bundle, designs, TIMES) for engine in ("compiled", "torchdiffeq"))
+    assert bool(ours.ok.all())
+    assert float((ours.radius - reference.radius).abs().max()) < SAME
+    assert torch.equal(ours.radius[:, 0], kind()(bundle[:, 0], DESIGNS, TIMES).radius)
+    assert float((ours.radius[:, 1:] - ours.radius[:, :1]).abs().amax()) > 1e-6
+    bundle[:, 2, PARAMETERS.index(["damage"])] = 1e-3  # a memory that the leader lacks changes the order of its sums
+    damaged, reference = (kind(engine=engine).bundle(bundle, designs, TIMES) for engine in ("compiled", "torchdiffeq"))
+    assert float((damaged.radius - reference.radius).abs().max()) < SAME
+    assert float((damaged.radius[:, 0] - ours.radius[:, 0]).abs().max()) < SAME
+    assert float((damaged.radius[:, 2] - ours.radius[:, 2]).abs().max()) > 1e-6
+
+
+FAILURES = [
+    (TransportSimulator, {"G": 4e3, "mu": 0.08}, {"accuracy": Accuracy(max_steps=40)}, Status.TOO_MANY_STEPS),
+    (TransportSimulator, {"G": 1e5, "alpha": -1.0}, {}, Status.UNBOUNDED_ENERGY),
+    (PolytropicSimulator, {"G": 4e3, "mu": 0.08}, {"stepping": Stepping(max_steps=32)}, Status.TOO_MANY_STEPS),
+    (PolytropicSimulator, {"G": 1e6, "alpha_fung": 10.0}, {"stepping": Stepping(0.5, retries=0)}, Status.RUNAWAY),
+    (PolytropicSimulator, {"G": 2770.0, "alpha": -0.9}, {}, Status.UNBOUNDED_ENERGY),
+]
+
+
+@pytest.mark.parametrize(("kind", "values", "options", "status"), FAILURES)
+def test_that_failures_have_the_same_status_and_the_same_good_beginning(kind, values, options, status: Status) -> None:
+    ours, reference = both(kind, gel(**values), **options)
+    assert torch.equal(ours.status, reference.status)
+    assert (ours.status == status).all()
+    shared = torch.isfinite(ours.radius) & torch.isfinite(reference.radius)
+    assert float((ours.radius - reference.radius)[shared].abs().max()) < SAME
+    assert int(shared.sum()) >= 2
+    assert not torch.isfinite(ours.radius).all()
+
+
+@SIMULATORS
+def test_that_early_times_and_a_single_time_are_the_same(kind) -> None:
+    for times in (tensor(-0.3, -0.1, 0.0, 1e-4, 0.4), tensor(0.0), tensor(-0.2)):
+        ours, reference = both(kind, gel(G=4e3, mu=0.08), times=times)
+        assert float((ours.radius - reference.radius).abs().max()) < SAME
+
+
+def torch_only(radius: Tensor, velocity: Tensor, rest_radius: Tensor, mu: Tensor) -> tuple[Tensor, ...]:
+    value, rate, acceleration = newtonian(radius, velocity, rest_radius, mu)
+    return value.clone(), rate, acceleration
+
+
+def same_as_newtonian(radius: Scalar, velocity: Scalar, rest_radius: Scalar, mu: Scalar) -> tuple[Scalar, ...]:
+    return newtonian(radius, velocity, rest_radius, mu)
+
+
+@SIMULATORS
+def test_that_a_law_without_a_compiled_form_runs_on_tensors_and_is_named_once(kind, monkeypatch: pytest.MonkeyPatch) -> None:
+    engines._say.cache_clear()
+    simulator = kind(terms=(StressTerm(torch_only, switch="mu"),))
+    with pytest.warns(EngineWarning, match=r"torch_only has no compiled form; results are the same and take longer"):
+        ours = simulator(gel(mu=0.1), DESIGNS, TIMES)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        again = simulator(gel(mu=0.1), DESIGNS, TIMES)
+    assert torch.equal(ours.radius, again.radius)
+    assert float((ours.radius - kind()(gel(mu=0.1), DESIGNS, TIMES).radius).abs().max()) < SAME
+
+
+def test_that_float32_and_a_foreign_driving_run_on_tensors_and_say_why() -> None:
+    @dataclass(frozen=True)
+    class Foreign:
+        def __call__(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+            return SineDriving(1e4, 2e4)(time)
+
+    engines._say.cache_clear()
+    times = TIMES[:20]
+    with pytest.warns(EngineWarning, match="the driving Foreign is no LawDriving"):
+        driven = PolytropicSimulator(Conditions(driving=Foreign()))(gel(mu=0.1), DESIGNS, times)
+    known = PolytropicSimulator(Conditions(driving=SineDriving(1e4, 2e4)))(gel(mu=0.1), DESIGNS, times)
+    assert float((driven.radius - known.radius).abs().max()) < SAME
+
+
+@SIMULATORS
+def test_that_gradients_take_the_engine_that_has_them(kind) -> None:
+    gels = gel(G=4e3, mu=0.08).requires_grad_()
+    radius = kind()(gels, DESIGNS[0], TIMES[:20]).radius
+    (slope,) = torch.autograd.grad(radius[-1], gels)
+    step = torch.zeros_like(gels).index_fill(0, torch.tensor(PARAMETERS.index(["G"])), 1.0)
+    with torch.no_grad():
+        ends = [kind()(gels + sign * step, DESIGNS[0], TIMES[:20]).radius[-1] for sign in (1, -1)]
+    assert float(slope[PARAMETERS.index(["G"])]) == pytest.approx(float(ends[0] - ends[1]) / 2.0, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"engine": "fortran"}, "engine is 'fortran'; expected one of compiled, torchdiffeq"), ({"threads": 0}, "threads is 0")],
+)
+@SIMULATORS
+def test_that_unknown_engines_and_no_threads_are_named(kind, options, message: str) -> None:
+    with pytest.raises(InputDataError, match=message):
+        kind(**options)
+
+
+def test_that_engine_and_threads_do_not_tell_simulators_apart() -> None:
+    """A campaign may be resumed with another number of threads."""
+    one, other = TransportSimulator(threads=1), TransportSimulator(threads=2, engine="torchdiffeq")
+    assert one == other
+    assert repr(one) == repr(other)
+    assert replace(one, accuracy=Accuracy(1e-3)) != one
+
+
+BROKEN_SIGN = """
+    import sys, torch
+    from imr_torch.material import PARAMETERS
+    from imr_torch.simulate import PolytropicSimulator
+    design, times = torch.tensor([300.0, 0.3], dtype=torch.float64), torch.linspace(0.0, 1.0, 11, dtype=torch.float64)
+    gel = PARAMETERS.pack({"G": torch.tensor(4e3, dtype=torch.float64), "mu": 0.1})
+    print(float(PolytropicSimulator(threads=1)(gel, design, times).radius[-1]))
+"""
+
+
+def in_a_process(cache: Path, script: str = BROKEN_SIGN) -> tuple[str, str]:
+    """Standard output and error of a script whose compiled code is kept in a folder."""
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script)],
+        env=os.environ | {"IMR_TORCH_CACHE": str(cache)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout, done.stderr
+
+
+def test_that_code_is_compiled_once_said_so_and_made_anew_where_it_was_damaged(tmp_path: Path) -> None:
+    first, said = in_a_process(tmp_path)
+    assert "compiling solve_polytropic" in said
+    assert "compiled solve_polytropic in" in said
+    second, nothing = in_a_process(tmp_path)
+    assert second == first
+    assert "compil" not in nothing
+    for path in tmp_path.rglob("*.nb?"):  # as a full disk would leave it
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    third, _ = in_a_process(tmp_path)
+    assert third == first
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
+def test_that_a_folder_that_cannot_be_written_is_no_obstacle(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    _, said = in_a_process(tmp_path)
+    assert "cannot be written" in said
