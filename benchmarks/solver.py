@@ -1,4 +1,4 @@
-"""Speed and accuracy of the simulators: process CPU time (on a GPU wall time), one thread, medians over repeats.
+"""Speed and accuracy of both engines: process CPU time (on a GPU wall time), one thread, medians over repeats.
 
   python benchmarks/solver.py [--json OUT] [--repeats 5] [--device cpu]
 
@@ -10,7 +10,11 @@ package: torchdiffeq's dopri5 with one step for the batch, and a loop over bubbl
 
 import argparse
 import json
+import os
 import resource
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,7 +25,7 @@ import torch
 from torchdiffeq import odeint
 
 from imr_torch.files import write_json
-from imr_torch.material import reference_case
+from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.simulate import (
     ACCURACIES,
     STEPPINGS,
@@ -75,6 +79,38 @@ def errors(simulator: Simulator, reference: Simulator, count: int, device: str) 
     return float(error.median()), float(error.max())
 
 
+def bundle(simulator: TransportSimulator, width: int) -> Callable[[], torch.Tensor]:
+    """A leader and followers that differ from it by a millionth of G, when called."""
+    parameters, designs = draws(1, "cpu")
+    members = parameters[:, None].repeat(1, width, 1)
+    members[:, 1:, PARAMETERS.index(["G"])] *= 1.0 + 1e-6 * torch.arange(1, width, dtype=torch.float64)[:, None]
+    return lambda: simulator.bundle(members, designs[:, None], TIMES).radius
+
+
+def speedup(count: int, repeats: int) -> float:
+    """Wall time of one thread over that of two, median of pairs taken in turn."""
+    ratios = []
+    for _ in range(repeats):
+        taken = []
+        for threads in (1, 2):
+            work = simulate(TransportSimulator(threads=threads), count, "cpu")
+            started = time.perf_counter()
+            work()
+            taken.append(time.perf_counter() - started)
+        ratios.append(taken[0] / taken[1])
+    return float(np.median(ratios))
+
+
+def compile_seconds() -> float:
+    """Process CPU time of compiling both entry points into an empty folder, in a process of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        command = [sys.executable, "-m", "imr_torch.simulate.compiled"]
+        subprocess.run(command, env=os.environ | {"IMR_TORCH_CACHE": folder}, check=True, capture_output=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+
+
 def plain_dopri5(count: int) -> Callable[[], Any]:
     """The same bubbles by torchdiffeq with one adaptive step for the whole batch."""
     parameters, designs = draws(count, "cpu")
@@ -97,23 +133,29 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)
     result: dict[str, float] = {}
+    if args.device != "cpu":
+        tensors = TransportSimulator(engine="torchdiffeq")
+        for count in (1000, 100_000):
+            result[f"tensor_{count}_ms"] = 1e3 * seconds_of(simulate(tensors, count, args.device), 1, args.device) / count
+        report(result, args.json)
+        return
+    result["compile_s"] = compile_seconds()
     for name, stepping in STEPPINGS.items():
-        simulator = PolytropicSimulator(stepping=stepping)
+        simulator = PolytropicSimulator(stepping=stepping, threads=1)
         finer = PolytropicSimulator(stepping=replace(stepping, step=stepping.step / 3.0, max_steps=10**6))
         median, largest = errors(simulator, finer, 1000, args.device)
-        result[f"polytropic_1000_ms_{name}"] = seconds_of(simulate(simulator, 1000, args.device), args.repeats, args.device)
         result |= {f"polytropic_median_dr_{name}": median, f"polytropic_max_dr_{name}": largest}
-    for count in (1, 48, 10000):
-        seconds = seconds_of(simulate(PolytropicSimulator(), count, args.device), args.repeats, args.device)
-        result[f"polytropic_{count}_ms"] = 1e3 * seconds / count
-    result["polytropic_1000_ms"] = result["polytropic_1000_ms_default"]
-    full = TransportSimulator()
-    result["full_1000_ms"] = seconds_of(simulate(full, 1000, args.device), args.repeats, args.device)
-    result["full_48_ms"] = 1e3 * seconds_of(simulate(full, 48, args.device), args.repeats, args.device) / 48
-    result["full_1_s"] = seconds_of(simulate(full, 1, args.device), args.repeats, args.device)
+    full, polytropic = TransportSimulator(threads=1), PolytropicSimulator(threads=1)
+    for name, simulator, counts in (("full", full, (1, 8, 48, 1000)), ("polytropic", polytropic, (1, 48, 1000, 10000))):
+        for count in counts:
+            repeats = 9 * args.repeats if count < 10 else args.repeats
+            result[f"{name}_{count}_ms"] = 1e3 * seconds_of(simulate(simulator, count, "cpu"), repeats) / count
+    result["bundle_8_ms"] = 1e3 * seconds_of(bundle(full, 8), 3 * args.repeats)
+    for count in (48, 1000):
+        tensors = TransportSimulator(engine="torchdiffeq")
+        result[f"tensor_{count}_ms"] = 1e3 * seconds_of(simulate(tensors, count, "cpu"), 1) / count
+    result["speedup_2_threads"] = speedup(1000, args.repeats)
     result["peak_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    if args.device != "cpu":
-        result["full_100000_ms"] = 1e-2 * seconds_of(simulate(full, 100_000, args.device), 1, args.device)
     reference = TransportSimulator(accuracy=ACCURACIES["reference"])
     result["median_dr"], result["max_dr"] = errors(full, reference, 1000, args.device)
     try:
@@ -125,9 +167,14 @@ def main() -> None:
     stiff = ScipySimulator(method="BDF", rtol=1e-5, atol=1e-7)
     result["scipy_bdf_full_s"] = seconds_of(simulate(stiff, 3, "cpu"), 1) / 3
     result["scipy_bdf_full_max_dr"] = errors(stiff, reference, 3, "cpu")[1]
+    report(result, args.json)
+
+
+def report(result: dict[str, float], path: str | None) -> None:
+    """Print, and write where asked."""
     print(json.dumps(result, indent=1))
-    if args.json:
-        write_json(args.json, result)
+    if path:
+        write_json(path, result)
 
 
 if __name__ == "__main__":

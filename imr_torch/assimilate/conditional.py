@@ -9,17 +9,10 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate.cost import equations_at, sides
-from imr_torch.observe import ExperimentBatch, displaced, predict
+from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
 
-_EARLIEST = -0.5  # time from which bubbles can be simulated
 _LONGEST = 4.0  # prior standard deviations in one step
-
-
-def possible_nuisances(shifts: Tensor, batch: ExperimentBatch) -> Tensor:
-    """Whether nuisances ``... x E x 3`` leave a bubble that can be simulated; a wild draw must not end the batch."""
-    _, times, scale = displaced(batch.designs, batch.times, shifts)
-    return (scale[..., 0] > 0.1) & (times[..., 0] > _EARLIEST)
 
 
 def conditional_nuisances(
@@ -38,11 +31,10 @@ def conditional_nuisances(
         Nuisances and Cholesky factors, of the same shapes.
     """
     points = guess[:, None] + torch.cat((guess.new_zeros(1, 1, 3), sides(batch)))
-    possible = possible_nuisances(points * batch.nuisance_sds, batch).all(1)
-    shifts = torch.where(possible[:, None, :, None], points * batch.nuisance_sds, 0.0)
-    prediction = predict(simulator, parameters[:, None].expand(-1, points.shape[1], -1), batch, shifts, bundled=True)
+    gels = parameters[:, None].expand(-1, points.shape[1], -1)
+    prediction = predict(simulator, gels, batch, points * batch.nuisance_sds, bundled=True)
     prediction = torch.where(batch.mask, prediction, 0.0)
-    known = possible & torch.isfinite(prediction).all(-1).all(1)
+    known = torch.isfinite(prediction).all(-1).all(1)
     prediction = torch.where(known[:, None, :, None], prediction, 0.5)
     count = len(guess)
     equations = equations_at(batch, guess.new_zeros(count, 0), guess, guess.new_zeros(count, 0, 0), prediction)

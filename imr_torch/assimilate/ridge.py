@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.conditional import possible_nuisances
 from imr_torch.assimilate.cost import equations_at, joint_cost, sides
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.proposals import Kernels
@@ -180,8 +179,6 @@ def _step(fit: ModelFit, point: _Point, along: Tensor, batch: ExperimentBatch, s
     shifts = point.nuisances.expand(len(gels), -1, -1).clone()
     shifts[1 + count :] += moved
     shifts *= batch.nuisance_sds
-    if not bool(possible_nuisances(shifts, batch).all()):
-        return replace(point, promised=math.inf)
     prediction = predict(simulator, fit.parameters(gels), batch, shifts if len(moved) else None, bundled=True)
     prediction = torch.where(batch.mask, prediction, 0.0)
     if not bool(torch.isfinite(prediction).all()):

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.conditional import conditional_nuisances, possible_nuisances
+from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.importance import ImportanceSample, smooth
 from imr_torch.assimilate.lower import has_a_better_draw, lower_minima, lowest_cost
@@ -236,11 +236,9 @@ def _simulate(fit: ModelFit, draws: _Draws, batch: ExperimentBatch, simulator: S
     count = draws.nuisances.shape[:2]
     gels = fit.parameters(draws.controls).repeat_interleave(count[1], 0)
     shifts = draws.nuisances.flatten(0, 1) * batch.nuisance_sds
-    possible = possible_nuisances(shifts, batch)
     uncertain = bool((batch.nuisance_sds > 0.0).any())
-    prediction = predict(simulator, gels, batch, torch.where(possible[..., None], shifts, 0.0) if uncertain else None)
-    likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0))
-    return _integrate(draws, torch.where(possible, likelihood, -torch.inf).unflatten(0, count))
+    prediction = predict(simulator, gels, batch, shifts if uncertain else None)
+    return _integrate(draws, batch.log_likelihood(torch.where(batch.mask, prediction, 0.0)).unflatten(0, count))
 
 
 def _integrate(draws: _Draws, likelihood: Tensor) -> _Round:

@@ -10,7 +10,7 @@ all nuisances follow, and the lowest end counts.
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.conditional import conditional_nuisances, possible_nuisances
+from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.assimilate.cost import SIDE, equations_at, uncertain
 from imr_torch.assimilate.fit import ONE_MINIMUM
 from imr_torch.observe import NUISANCES, ExperimentBatch, predict
@@ -114,8 +114,6 @@ def _predict_moved(
 
 def _cost(parameters: Tensor, nuisances: Tensor, batch: ExperimentBatch, simulator: Simulator) -> Tensor:
     """Negative log of likelihood x prior of the nuisances of each experiment, ``n x E``; infinite where there is no bubble."""
-    shifts = nuisances * batch.nuisance_sds
-    possible = possible_nuisances(shifts, batch)
-    prediction = predict(simulator, parameters, batch, torch.where(possible[..., None], shifts, 0.0))
+    prediction = predict(simulator, parameters, batch, nuisances * batch.nuisance_sds)
     cost = 0.5 * nuisances.square().sum(-1) - batch.log_likelihood(torch.where(batch.mask, prediction, 0.0))
-    return torch.where(possible, cost, torch.inf).nan_to_num(nan=torch.inf)
+    return cost.nan_to_num(nan=torch.inf)

@@ -2,9 +2,9 @@ import pytest
 import torch
 
 from imr_torch.errors import InputDataError
-from imr_torch.gap.effects import LIBRARY
 from imr_torch.gap.hypotheses import Hypothesis
-from imr_torch.gap.shrinkage import Comparison, HeldOut, Shrinkage, _bootstrap, held_out, shrinkage
+from imr_torch.gap.shrinkage import Comparison, HeldOut, Shrinkage, _bootstrap, _shift, held_out, shrinkage
+from imr_torch.material import LIBRARY
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
 
@@ -41,6 +41,18 @@ def test_that_the_shift_is_the_bias_of_the_base(judged: Shrinkage) -> None:
     shift = judged.shift["G"]
     assert set(judged.shift) == {"G", "mu"}
     assert abs(shift.relative) > 3.0 * shift.sd > 0.0
+
+
+def test_that_the_sd_of_the_shift_is_that_of_an_efficient_against_a_consistent_estimate() -> None:
+    """``var(b - a) = var(b) - var(a)`` where ``a`` is efficient (Hausman, Econometrica 46, 1978)."""
+    batch = shoot({"alpha": 0.05}, DESIGNS, repeats=10, end=1.8)
+    base, effect = fit(batch), fit(batch, RIGHT, alpha=0.05)
+    shift = _shift(base, effect)["mu"]
+    row, other = (f.prior.names.index("mu") for f in (base, effect))
+    value, narrow = float(base.posterior.means[row]), float(base.posterior.sds[row])
+    wide = float(effect.posterior.sds[other])
+    assert shift.sd == pytest.approx((wide**2 - narrow**2) ** 0.5 / value, rel=0.05)
+    assert shift.sd < 0.95 * wide / value
 
 
 def design(bias: float, repeats: float | torch.Tensor, seed: int, slopes: int = 0) -> HeldOut:
