@@ -2,7 +2,6 @@
 
 import torch
 
-import imr_torch.observe  # noqa: F401 - registers all effects, which the compiled code knows
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate import PolytropicSimulator, TransportSimulator
 
