@@ -301,7 +301,7 @@ def main() -> None:
     path = args.out / f"rows-{args.physics}-{args.curves}{'-scores' if args.scores else ''}.jsonl"
     options = EnsembleOptions(starts=args.starts, scouts=args.scouts, hopeless=_HOPELESS)
     tasks = {f.stem: Task(f, args.curves, args.scores, args.out, options) for f in chosen_files(args.folder, args.sets)}
-    rows = run_missing(tasks, path, SIMULATORS[args.physics](), line=_line)
+    rows = run_missing(tasks, path, SIMULATORS[args.physics](threads=1), line=_line)
     print("\n" + table(rows))
 
 
