@@ -217,6 +217,7 @@ def _space(grids: tuple[Any, Any]) -> tuple[np.ndarray, ...]:
         columns(outside.first, outside.laplacian),
         columns(inside.first[1:, 1:]),
         columns(inside.laplacian[:, 1:]),
+        inside.first[1:, 1:].contiguous().numpy(),
         columns(outside.first[1:, 1:]),
         columns(outside.laplacian[:, 1:]),
         inside.nodes.contiguous().numpy(),

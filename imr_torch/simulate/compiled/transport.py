@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imr_torch.simulate.compiled import laws
-from imr_torch.simulate.compiled.algebra import apply, dot, invert, multiply, multiply_left
+from imr_torch.simulate.compiled.algebra import apply, dot, invert, multiply
 from imr_torch.simulate.compiled.output import (
     ACCELERATION,
     PRESSURE,
@@ -69,6 +69,7 @@ class Space(NamedTuple):
         inside: ``(n+1) x (2n+1)``: column ``j`` of the operators ``d/dy`` (wall first) and Laplacian, as a row.
         outside: ``(m+1) x (2m+1)``, likewise.
         first: ``n x n``, column ``j`` of ``d/dy`` at the inner nodes from the inner nodes, as a row; ``laplacian`` likewise.
+        rows: ``n x n``, ``d/dy`` at the inner nodes from the inner nodes.
         outer_first: ``m x m``; ``outer_laplacian`` likewise.
         y: ``n`` nodes.
         stretching: ``m``, ``1/y^2 - y``.
@@ -79,6 +80,7 @@ class Space(NamedTuple):
     outside: np.ndarray
     first: np.ndarray
     laplacian: np.ndarray
+    rows: np.ndarray
     outer_first: np.ndarray
     outer_laplacian: np.ndarray
     y: np.ndarray
@@ -96,7 +98,8 @@ class Work(NamedTuple):
         counts: ``2 x w``: times filled in, and nodes recorded.
         inner: ``2 x (2n+1)``: slopes (wall first) and Laplacians of ``tau`` and ``C``; ``outer`` likewise of ``theta``.
         profile: ``3 x n``: conductivity, temperature and ``R_mix`` at the inner nodes.
-        heat: ``n x n``, the block of ``tau`` by columns, then its inverse by columns; ``vapour`` and ``gel`` likewise.
+        heat: ``n x (n+2)``, the block of ``tau`` by columns, then its inverse; ``vapour`` and ``gel`` likewise with one column
+            more: see :func:`factorise`.
         inner_border: ``2 x 5 x n``: derivatives of ``tau_t`` and ``C_t`` in (R, U, ln P, q, tau_w); ``outer_border``: ``5 x
             m``.
         factors: ``9 x max(n, m)``: factors of slope, Laplacian and value in the rates of ``tau``, ``C`` and ``theta`` at each
@@ -155,9 +158,9 @@ def work_for(n: int, m: int, states: int, width: int) -> tuple[np.ndarray, ...]:
         inner=np.zeros((2, 2 * n + 1)),
         outer=np.zeros((1, 2 * m + 1)),
         profile=np.zeros((3, n)),
-        heat=np.zeros((n, n)),
-        vapour=np.zeros((n, n)),
-        gel=np.zeros((m, m)),
+        heat=np.zeros((n, n + 2)),
+        vapour=np.zeros((n, n + 1)),
+        gel=np.zeros((m, m + 1)),
         inner_border=np.zeros((2, _BORDER, n)),
         outer_border=np.zeros((_BORDER, m)),
         factors=np.zeros((9, max(n, m))),
@@ -173,7 +176,7 @@ def work_for(n: int, m: int, states: int, width: int) -> tuple[np.ndarray, ...]:
         moved=np.zeros((2, states), np.complex128),
         wall_rows=np.zeros((2, 8)),
         small=np.zeros((3, longest)),
-        pivots=np.zeros((2, longest)),
+        pivots=np.zeros((2, longest + 2)),
     )
     return tuple(work)
 
@@ -280,8 +283,8 @@ def field_slopes(point, space, work, member, setup):
         beyond[3, i], beyond[4, i] = 0.0, g.wall + through
 
 
-def shifted_inverse(factors, first, laplacian, shift, out, pivots):
-    """``out = (shift - J)^-1`` of one field by columns, from the factors of value, slope and Laplacian at each node."""
+def shifted(factors, first, laplacian, shift, out):
+    """``out = shift - J`` of one field by columns, from the factors of value, slope and Laplacian at each node."""
     size = len(out)
     by_slope, by_bend, by_value = factors[0], factors[1], factors[2]
     for j in range(size):
@@ -289,7 +292,6 @@ def shifted_inverse(factors, first, laplacian, shift, out, pivots):
         for i in range(size):
             column[i] = -(by_bend[i] * bend[i] + by_slope[i] * slope[i])
         column[j] += shift - by_value[j]
-    invert(out, pivots)
 
 
 def linearise(state, time, space, work, member, setup):
@@ -328,34 +330,36 @@ def linearise(state, time, space, work, member, setup):
 
 
 def factorise(shift, space, work):
-    """Invert ``shift - J``: the blocks of the fields, what they add to the rows of the wall, and what is left beside them."""
+    """Invert ``shift - J``: the blocks of the fields, what they add to the rows of the wall, and what is left beside them.
+
+    What the fields add is ``w (shift - J)^-1`` with the slopes at the wall ``w``: columns beside the blocks (which stand by
+    columns, as their transposes) that Gauss-Jordan carries along.
+    """
     n, m, factors, small, rows = len(space.y), len(space.shear), work.factors, work.small, work.wall_rows
-    shifted_inverse(factors[0:3], space.first, space.laplacian, shift, work.heat, work.pivots)
-    shifted_inverse(factors[3:6], space.first, space.laplacian, shift, work.vapour, work.pivots)
-    shifted_inverse(factors[6:9], space.outer_first, space.outer_laplacian, shift, work.gel, work.pivots)
-    at_wall, by_vapour, by_heat, functionals = small[0], small[1], small[2], work.functionals
+    heat, vapour, gel, functionals = work.heat, work.vapour, work.gel, work.functionals
+    shifted(factors[0:3], space.first, space.laplacian, shift, heat)
+    shifted(factors[3:6], space.first, space.laplacian, shift, vapour)
+    shifted(factors[6:9], space.outer_first, space.outer_laplacian, shift, gel)
     for j in range(n):
-        at_wall[j] = space.inside[1 + j, 0]
-    multiply_left(at_wall, work.vapour, by_vapour)
-    multiply_left(at_wall, work.heat, by_heat)
-    for k in range(2):
-        for j in range(n):
-            functionals[k, j], functionals[k, n + j] = rows[k, 5] * by_heat[j], rows[k, 6] * by_vapour[j]
+        vapour[j, n] = space.inside[1 + j, 0]
+    invert(vapour, work.pivots)
     for j in range(n):  # the slope of C at the wall hangs on tau through C_t
-        by_heat[j] = by_vapour[j] * work.coupling[1, j]
-    multiply_left(by_heat, space.first, at_wall)
+        small[0, j] = vapour[j, n] * work.coupling[1, j]
+    multiply(space.rows, small[0], small[1])
     for j in range(n):
-        at_wall[j] += by_vapour[j] * work.coupling[0, j]
-    multiply_left(at_wall, work.heat, by_heat)
-    for k in range(2):
-        for j in range(n):
-            functionals[k, j] += rows[k, 6] * by_heat[j]
+        heat[j, n] = space.inside[1 + j, 0]
+        heat[j, n + 1] = small[1, j] + vapour[j, n] * work.coupling[0, j]
+    invert(heat, work.pivots)
     for j in range(m):
-        at_wall[j] = space.outside[1 + j, 0]
-    multiply_left(at_wall, work.gel, by_heat)
+        gel[j, m] = space.outside[1 + j, 0]
+    invert(gel, work.pivots)
     for k in range(2):
+        by_heat, by_vapour, by_gel = rows[k, 5], rows[k, 6], rows[k, 7]
+        for j in range(n):
+            functionals[k, j] = by_heat * heat[j, n] + by_vapour * heat[j, n + 1]
+            functionals[k, n + j] = by_vapour * vapour[j, n]
         for j in range(m):
-            functionals[k, 2 * n + j] = rows[k, 7] * by_heat[j]
+            functionals[k, 2 * n + j] = by_gel * gel[j, m]
     _border(shift, n, m, work)
     invert(work.border, work.pivots)
 
