@@ -141,7 +141,7 @@ def _march(whole: TransportField, times: Tensor, settings: Accuracy) -> tuple[Te
         new[:, :, members] = _nodes(moving, path[1:])
         nodes.append(new)
         accepted = fresh[0].new_zeros(count, len(whole))
-        accepted[:, members] = path[1:, -1] <= 1.0
+        accepted[:, members] = (path[1:, -1] <= 1.0) & torch.isfinite(path[1:]).all(1)
         fresh.append(accepted)
         state[:, members] = path[-1]
         status[running] = _judge(path.unflatten(2, (-1, width)), last[running])
@@ -186,9 +186,8 @@ def _judge(path: Tensor, last: Tensor) -> Tensor:
 
 def _accepted(nodes: Tensor, fresh: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
     """Nodes of accepted steps only, ``6 x B x n`` with the last repeated, and how many each member took to its last time."""
-    place = fresh.cumsum(0) - 1  # of each node; a rejected step stands where the one before does
-    kept = torch.zeros_like(nodes).scatter(1, place.expand(len(nodes), -1, -1), nodes)
-    count = place[-1]
+    kept = nodes.gather(1, torch.argsort((~fresh).long(), dim=0, stable=True).expand(len(nodes), -1, -1))
+    count = fresh.sum(0) - 1
     position = torch.minimum(torch.arange(len(fresh), device=count.device)[:, None], count)
     kept = kept.gather(1, position.expand(len(nodes), -1, -1))[:, : max(2, int(count.max()) + 1)]
     steps = (fresh & (nodes[0] < last)).sum(0) + (nodes[0, -1] >= last).long()

@@ -8,8 +8,8 @@ import pytest
 from imr_torch.assimilate import EnsembleOptions
 from imr_torch.gap.attribute import PRIOR_NONE, PRIOR_OTHER, Attribution, Inquiry, _weigh, attribute, reconsider
 from imr_torch.gap.diagnose import impatient
-from imr_torch.gap.effects import LIBRARY, library
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
+from imr_torch.material import LIBRARY, library
 from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator
 from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 

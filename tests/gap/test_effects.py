@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from imr_torch.errors import ImrError, InputDataError
-from imr_torch.gap import effects
-from imr_torch.gap.effects import LIBRARY, Effect, library, register_effect
-from imr_torch.material import PARAMETERS, TruncatedNormal
+from imr_torch.material import LIBRARY, PARAMETERS, Effect, LogNormal, Parameter, TruncatedNormal, library, register_effect
+from imr_torch.material import effect as registry
+from imr_torch.material.parameters import ParameterVector
 from imr_torch.observe import predict
 from tests.gap.synthetic import GEL, SIMULATOR, shoot
 
@@ -87,8 +87,38 @@ def test_that_effects_are_offered_by_name_and_to_bases_that_they_can_act_on() ->
         library(["wal"])
 
 
+@pytest.mark.parametrize(
+    ("prior", "starts"),
+    [
+        (TruncatedNormal(0.0, 0.1), (0.04, -0.04)),
+        (TruncatedNormal(0.0, 0.1, lower=-0.03), (0.04, -0.04)),
+        (TruncatedNormal(0.0, 0.1, lower=0.0), (0.03, 0.12)),
+    ],
+)
+def test_that_usual_starts_are_on_either_side_or_two_sizes_of_a_one_sided_effect(prior, starts) -> None:
+    effect = Effect("x", "an effect of one parameter", "geometry", {"wall": prior})
+    assert [start for (start,) in effect.starts] == pytest.approx(starts)
+
+
+def test_that_an_effect_is_offered_to_models_that_have_what_it_needs() -> None:
+    prior = TruncatedNormal(0.0, 0.1)
+    free, bound = (Effect("x", "a wall that needs", "liquid", {"wall": prior}, needs=needs) for needs in ("", "G"))
+    assert free.applies("nhkv")
+    assert free.applies("newtonian")
+    assert bound.applies("nhkv")
+    assert not bound.applies("newtonian")
+    assert not free.applies("nhkv+wall")
+    assert {e.name for e in LIBRARY.values() if e.needs == "G"} == {
+        "strain_stiffening",
+        "damage",
+        "graded_modulus",
+        "permanent_set",
+    }
+    assert {e.name for e in LIBRARY.values() if e.needs == "mu"} == {"stress_relaxation", "shear_thinning"}
+
+
 def test_that_a_users_effect_is_one_class_and_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(effects, "LIBRARY", dict(LIBRARY))
+    monkeypatch.setattr(registry, "LIBRARY", dict(LIBRARY))
     prior = TruncatedNormal(0.0, 0.1)
     mine = Effect("slow_wall", "a wall far away", "geometry", {"wall": prior}, ((0.05,), (-0.05,)))
     register_effect(mine)
@@ -97,5 +127,22 @@ def test_that_a_users_effect_is_one_class_and_is_checked(monkeypatch: pytest.Mon
         register_effect(mine)
     with pytest.raises(InputDataError, match="needs starts of 1 values each"):
         Effect("x", "no start of that many values", "geometry", {"wall": prior}, ((0.05, 1.0),))
+    with pytest.raises(InputDataError, match=r"needs starts of 3 values each, got \(\)"):
+        Effect("x", "no start of several parameters", "driving", LIBRARY["pulse"].priors)
+    with pytest.raises(InputDataError, match=r"needs starts of 1 values each, got \(\)"):
+        Effect("x", "no start for such a prior", "geometry", {"wall": LogNormal(1.0, 2.0)})
+    for law in ("setting", "gas_loss", "vapour", "far_field"):
+        with pytest.raises(InputDataError, match=rf"its law {law} takes [13] arguments and then wall"):
+            Effect("x", "a law of too many arguments", "liquid", {"wall": prior}, **{law: lambda a, b, c, d, e: a})
+    with pytest.raises(ImrError, match="stiffness"):
+        Effect("x", "needs what there is not", "geometry", {"wall": prior}, needs="stiffness")
     with pytest.raises(ImrError, match="wal"):
         Effect("x", "no such parameter", "geometry", {"wal": prior}, ((0.05,),))
+
+
+def test_that_an_amplitude_that_is_not_neutral_at_zero_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = ParameterVector()
+    own.register(Parameter("slow", "a factor, which does nothing at one", "1", "none", 0.0, 2.0, 1.0))
+    monkeypatch.setattr(registry, "PARAMETERS", own)
+    with pytest.raises(InputDataError, match="its amplitude 'slow' must be neutral at zero"):
+        Effect("x", "a factor", "geometry", {"slow": TruncatedNormal(0.0, 0.1)})

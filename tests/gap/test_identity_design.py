@@ -6,11 +6,10 @@ import torch
 from imr_torch.assimilate import ModelFit
 from imr_torch.design import DesignSpace, Estimator, Plan
 from imr_torch.errors import InputDataError
-from imr_torch.gap.effects import LIBRARY
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import IdentityInformation, NextDesign, identity_design, remaining_causes
 from imr_torch.gap.shrinkage import held_out
-from imr_torch.material import Belief
+from imr_torch.material import LIBRARY, Belief
 from imr_torch.observe import Experiment, ExperimentBatch, predict
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
 

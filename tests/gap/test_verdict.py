@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from imr_torch.gap.attribute import Attribution, Inquiry
-from imr_torch.gap.effects import library
+from imr_torch.material import library
 from tests.gap.synthetic import BASE
 
 EFFECTS = library(["residual_velocity", "trigger_offset", "gas_loss", "wall"])  # the first two are one family

@@ -1,6 +1,7 @@
 """Departures from the base physics: each nothing at its neutral value, something beyond it, and that what its name says."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -115,22 +116,34 @@ def bases_and_neighbours(*, acting: bool) -> Tensor:
 @pytest.fixture(scope="module")
 def solutions() -> dict[str, list[Solution]]:
     """Of either simulator: a batch in which nothing acts in any member, and one in which everything does in some."""
+    both = simulators()
+    both |= {f"{kind} on tensors": replace(simulator, engine="torchdiffeq") for kind, simulator in both.items()}
     return {
         kind: [simulator(bases_and_neighbours(acting=acting), DESIGN, TIMES) for acting in (False, True)]
-        for kind, simulator in simulators().items()
+        for kind, simulator in both.items()
     }
 
 
-def test_that_at_neutral_it_does_nothing_bit_for_bit_even_beside_bubbles_where_it_acts(solutions) -> None:
-    for without, among in (solutions["polytropic"],):
-        for entry in ("radius", "velocity", "bubble_pressure"):
-            assert torch.equal(getattr(without, entry)[::2], getattr(among, entry)[::2])
+@pytest.mark.parametrize("kind", ["polytropic", "polytropic on tensors", "transport"])
+def test_that_at_neutral_it_does_nothing_bit_for_bit_even_beside_bubbles_where_it_acts(solutions, kind: str) -> None:
+    without, among = solutions[kind]
+    for entry in ("radius", "velocity", "bubble_pressure"):
+        assert torch.equal(getattr(without, entry)[::2], getattr(among, entry)[::2])
 
 
-def test_that_so_it_is_with_transport_up_to_rounding(solutions) -> None:
+def test_that_so_it_is_with_transport_on_tensors_up_to_rounding(solutions) -> None:
     """Where members leave at different moments, and the machine rounds a batch of another size otherwise."""
-    without, among = solutions["transport"]
+    without, among = solutions["transport on tensors"]
     assert float((without.radius[::2] - among.radius[::2]).abs().max()) < 1e-10
+
+
+@BOTH
+def test_that_it_is_the_same_in_both_engines(solutions, kind: str) -> None:
+    for compiled, tensors in zip(solutions[kind], solutions[f"{kind} on tensors"], strict=True):
+        assert bool(compiled.ok.all())
+        assert torch.equal(compiled.status, tensors.status)
+        for entry in ("radius", "velocity", "bubble_pressure"):
+            torch.testing.assert_close(getattr(compiled, entry), getattr(tensors, entry), rtol=1e-10, atol=1e-10)
 
 
 @BOTH

@@ -92,6 +92,24 @@ def test_that_polytropic_gas_is_its_compiled_self(radius: float) -> None:
         assert_alike(PolytropicGas.law, arguments, range(10))
 
 
+@pytest.mark.parametrize("lost", [0.0, 0.4])
+@pytest.mark.parametrize("trapped", [0.0, 0.3])
+def test_that_the_rate_of_polytropic_gas_is_that_of_its_pressure(trapped: float, lost: float) -> None:
+    """Along ``R(t)``, with gas that is lost and vapour whose saturation follows the compression."""
+    exponent, velocity = 1.3, -4.0
+
+    def pressure(time: torch.Tensor) -> torch.Tensor:
+        radius = 0.4 + velocity * time
+        compression = compression_of(radius, exponent)
+        left = 0.9 * torch.exp(-lost * time)
+        return PolytropicGas.law(radius, velocity, left, lost, compression, compression**trapped, trapped, 2e-2, exponent, 0.03)
+
+    time = torch.tensor(0.0, dtype=torch.float64)
+    value, slope = torch.func.jvp(lambda t: pressure(t)[0], (time,), (torch.ones_like(time),))
+    assert float(pressure(time)[1]) == pytest.approx(float(slope), rel=1e-12)
+    assert float(value) > 0.0
+
+
 EXAMPLES: tuple[LawDriving, ...] = (
     SineDriving(6e4, 2.5e4, 0.4),
     GaussianPulse(-8e4, 3e-5, 1e-5),

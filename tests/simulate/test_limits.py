@@ -168,7 +168,7 @@ def test_that_energy_is_kept_when_the_heat_that_leaves_is_counted(vapour: str) -
     conditions = Conditions(mixture=GasMixture(vapour=vapour), medium=Medium(warm=False), motion=RayleighPlesset())  # type: ignore[arg-type]
     parameters, designs = gel(G=5e3)[None], tensor(300.0, 0.45)[None]
     field = TransportField(parameters, designs, conditions=conditions, resolution=Resolution(12, 4))
-    path = odeint(field, field.start(), torch.arange(1001, dtype=torch.float64), method=METHOD, rtol=1e-6)[:, :, 0]
+    path = odeint(field, field.start(), torch.arange(301, dtype=torch.float64), method=METHOD, rtol=1e-6)[:, :, 0]
     times, accepted = path[:, -CONTROL], path[:, -1] <= 1.0
     states, times = path[accepted & (times <= 2.0), :-CONTROL], times[accepted & (times <= 2.0)]
     assert 1.9 < float(times[-1]) < float(path[-1, -CONTROL])
@@ -179,10 +179,8 @@ def test_that_energy_is_kept_when_the_heat_that_leaves_is_counted(vapour: str) -
     spring = 0.5 * float(b.theta["G"]) * 0.45**3 * (5.0 / 3.0 * l**3 - 2.0 * l**2 + l**-1 - 2.0 / 3.0)
     liquid = 0.5 * fields.radius**3 * fields.velocity**2 + fields.radius**3 / 3.0 + fields.radius**2 / 600.0
     heat = float(b.numbers.chi) * fields.heat * fields.radius
-    every = len(times) // 8
-    lost = -np.array([simpson(heat[: i + 1].numpy(), x=times[: i + 1].numpy()) for i in range(0, len(times), every)])
-    total = (stored + spring + liquid)[::every].numpy() + lost
-    assert len(total) >= 9
+    lost = -np.array([simpson(heat[: i + 1].numpy(), x=times[: i + 1].numpy()) for i in range(len(times))])
+    total = (stored + spring + liquid).numpy() + lost
     assert np.abs(total - total[0]).max() < 2e-5
     assert lost.max() > 1e-3
     assert float(fields.velocity.abs().max()) > 0.5

@@ -61,5 +61,5 @@ def test_other_methods_are_refused():
 
 def test_a_torchdiffeq_that_keeps_its_methods_elsewhere_is_named(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "torchdiffeq._impl.odeint", None)
-    with pytest.raises(UnsupportedError, match="install torchdiffeq 0.2.5"):
+    with pytest.raises(UnsupportedError, match=r"install torchdiffeq 0\.2\.5"):
         ode_method._register()

@@ -11,9 +11,13 @@ from torch import Tensor
 from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
 from imr_torch.material import MATERIALS, PARAMETERS
 from imr_torch.simulate import Conditions, PolytropicGas, PolytropicSimulator, Solution, Status, Stepping, broadcast_batch
+from imr_torch.simulate.engines import ENGINES, Engine
 from tests.simulate.bubble import DESIGN, FINE, GEL, gel, gel_of, grid, tensor
 
 # ---------------------------------------------------------------- batches
+
+
+BOTH = pytest.mark.parametrize("engine", ENGINES)
 
 
 def mixed_batch() -> tuple[Tensor, Tensor, Tensor]:
@@ -30,12 +34,13 @@ def assert_same(one: Solution, other: Solution, **tolerance: float) -> None:
     assert torch.equal(one.status, other.status)
 
 
-def test_that_a_member_of_a_mixed_batch_is_the_member_alone() -> None:
+@BOTH
+def test_that_a_member_of_a_mixed_batch_is_the_member_alone(engine: Engine) -> None:
     parameters, designs, times = mixed_batch()
-    batch = PolytropicSimulator()(parameters, designs, times)
+    batch = PolytropicSimulator(engine=engine)(parameters, designs, times)
     assert bool(batch.ok.all())
     for i in range(len(parameters)):
-        alone = PolytropicSimulator()(parameters[i], designs[i], times[i])
+        alone = PolytropicSimulator(engine=engine)(parameters[i], designs[i], times[i])
         assert alone.radius.shape == times[i].shape
         assert float((alone.radius - batch.radius[i]).abs().max()) < 1e-12
         scale = float(alone.velocity.abs().max())
@@ -43,21 +48,34 @@ def test_that_a_member_of_a_mixed_batch_is_the_member_alone() -> None:
         assert int(alone.steps) == int(batch.steps[i])
 
 
-def test_that_the_order_of_a_batch_does_not_matter() -> None:
+def test_that_both_engines_give_the_same_solution() -> None:
+    """But for the count of steps, which on tensors goes by blocks."""
+    given = mixed_batch()
+    compiled, tensors = (PolytropicSimulator(engine=engine)(*given) for engine in ENGINES)
+    assert bool(compiled.ok.all())
+    assert_same(compiled, tensors, rtol=1e-10, atol=1e-12)
+    late = tensors.steps - compiled.steps
+    assert bool(((late >= 0) & (late < 32)).all())
+
+
+@BOTH
+def test_that_the_order_of_a_batch_does_not_matter(engine: Engine) -> None:
     parameters, designs, times = mixed_batch()
-    forward = PolytropicSimulator()(parameters, designs, times)
-    backward = PolytropicSimulator()(parameters.flip(0), designs.flip(0), times.flip(0))
+    forward = PolytropicSimulator(engine=engine)(parameters, designs, times)
+    backward = PolytropicSimulator(engine=engine)(parameters.flip(0), designs.flip(0), times.flip(0))
     torch.testing.assert_close(backward.radius.flip(0), forward.radius, rtol=0.0, atol=1e-12)
 
 
-def test_that_a_batch_wider_than_a_block_is_its_members(monkeypatch: pytest.MonkeyPatch) -> None:
+@BOTH
+def test_that_a_batch_wider_than_a_block_is_its_members(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
     parameters, designs, times = mixed_batch()
-    whole = PolytropicSimulator()(parameters, designs, times)
+    whole = PolytropicSimulator(engine=engine)(parameters, designs, times)
     monkeypatch.setattr("imr_torch.simulate.polytropic._BATCH", 2)
-    split = PolytropicSimulator()(parameters, designs, times)
+    split = PolytropicSimulator(engine=engine)(parameters, designs, times)
     assert_same(whole, split, rtol=1e-10, atol=1e-12)
 
 
+@BOTH
 @pytest.mark.parametrize(
     ("parameters", "designs", "times", "batch"),
     [
@@ -69,38 +87,43 @@ def test_that_a_batch_wider_than_a_block_is_its_members(monkeypatch: pytest.Monk
         ((3, 1), (2,), (3, 1), (3, 2)),
     ],
 )
-def test_that_batch_shapes_broadcast(parameters: tuple, designs: tuple, times: tuple, batch: tuple) -> None:
+def test_that_batch_shapes_broadcast(engine: Engine, parameters: tuple, designs: tuple, times: tuple, batch: tuple) -> None:
     source = torch.Generator().manual_seed(0)
     p = gel(G=5e3, mu=0.1) * (1.0 + 0.1 * torch.rand(*parameters, 1, generator=source, dtype=torch.float64))
     d = tensor(*DESIGN) * (1.0 + 0.1 * torch.rand(*designs, 1, generator=source, dtype=torch.float64))
     t = grid(2.0, 9)[1:] * (1.0 + 0.1 * torch.rand(*times, 1, generator=source, dtype=torch.float64))
-    solution = PolytropicSimulator()(p, d, t)
+    solution = PolytropicSimulator(engine=engine)(p, d, t)
     for name in ("times", "radius", "velocity", "bubble_pressure"):
         assert getattr(solution, name).shape == (*batch, 8)
     assert solution.status.shape == solution.steps.shape == solution.ok.shape == torch.Size(batch)
-    flat = PolytropicSimulator()(*(x.expand(*batch, x.shape[-1]).reshape(-1, x.shape[-1]) for x in (p, d, t)))
+    flat = PolytropicSimulator(engine=engine)(*(x.expand(*batch, x.shape[-1]).reshape(-1, x.shape[-1]) for x in (p, d, t)))
     torch.testing.assert_close(solution.radius.reshape(-1, 8), flat.radius, rtol=0.0, atol=1e-12)
 
 
-def test_that_the_frames_asked_for_do_not_change_the_bubble() -> None:
+@BOTH
+def test_that_the_frames_asked_for_do_not_change_the_bubble(engine: Engine) -> None:
     sparse, dense = grid(3.0, 7), grid(3.0, 601)
-    one, other = (PolytropicSimulator()(gel(**GEL), tensor(*DESIGN), t).radius for t in (sparse, dense))
+    one, other = (PolytropicSimulator(engine=engine)(gel(**GEL), tensor(*DESIGN), t).radius for t in (sparse, dense))
     torch.testing.assert_close(one, other[::100], rtol=0.0, atol=1e-13)
-    assert float(PolytropicSimulator()(gel(**GEL), tensor(*DESIGN), tensor(1.5)).radius) == pytest.approx(float(other[300]))
+    assert float(PolytropicSimulator(engine=engine)(gel(**GEL), tensor(*DESIGN), tensor(1.5)).radius) == pytest.approx(
+        float(other[300])
+    )
 
 
-def test_that_frames_just_before_the_maximum_see_the_bubble_grow() -> None:
+@BOTH
+def test_that_frames_just_before_the_maximum_see_the_bubble_grow(engine: Engine) -> None:
     times = tensor(-0.02, -0.01, 0.0, 0.01, 0.02)
-    radius = PolytropicSimulator(stepping=FINE)(gel(**GEL), tensor(*DESIGN), times).radius
+    radius = PolytropicSimulator(engine=engine, stepping=FINE)(gel(**GEL), tensor(*DESIGN), times).radius
     assert float(radius[2]) == 1.0
     torch.testing.assert_close(radius[:2], radius[3:].flip(0), rtol=0.0, atol=1e-4)
     assert bool((radius[:2] < 1.0).all())
 
 
-def test_that_nothing_given_is_changed_and_the_same_call_gives_the_same_bits() -> None:
+@BOTH
+def test_that_nothing_given_is_changed_and_the_same_call_gives_the_same_bits(engine: Engine) -> None:
     given = mixed_batch()
     copies = [x.clone() for x in given]
-    one, other = PolytropicSimulator()(*given), PolytropicSimulator()(*given)
+    one, other = PolytropicSimulator(engine=engine)(*given), PolytropicSimulator(engine=engine)(*given)
     assert all(torch.equal(a, b) for a, b in zip(given, copies, strict=True))
     assert_same(one, other, rtol=0.0, atol=0.0)
 
@@ -150,11 +173,12 @@ def failing_batch() -> Tensor:
     return bad
 
 
-def test_that_a_failing_member_is_named_and_its_neighbours_are_not_disturbed() -> None:
-    solution = PolytropicSimulator()(failing_batch(), tensor(*DESIGN), grid())
+@BOTH
+def test_that_a_failing_member_is_named_and_its_neighbours_are_not_disturbed(engine: Engine) -> None:
+    solution = PolytropicSimulator(engine=engine)(failing_batch(), tensor(*DESIGN), grid())
     assert solution.status.tolist() == [Status.DONE, Status.NON_FINITE, Status.DONE, Status.RUNAWAY, Status.DONE]
     assert solution.ok.tolist() == [True, False, True, False, True]
-    alone = PolytropicSimulator()(gel(**GEL), tensor(*DESIGN), grid())
+    alone = PolytropicSimulator(engine=engine)(gel(**GEL), tensor(*DESIGN), grid())
     for i in (0, 2, 4):
         assert float((solution.radius[i] - alone.radius).abs().max()) < 1e-12
     for i in (1, 3):
@@ -164,47 +188,54 @@ def test_that_a_failing_member_is_named_and_its_neighbours_are_not_disturbed() -
         assert f"{name}: {Status(status).advice}" in solution.summary()
 
 
-def test_that_running_out_of_steps_says_so_and_gives_what_was_reached() -> None:
-    short = PolytropicSimulator(stepping=Stepping(0.1, max_steps=32, retries=0))
+@BOTH
+def test_that_running_out_of_steps_says_so_and_gives_what_was_reached(engine: Engine) -> None:
+    short = PolytropicSimulator(engine=engine, stepping=Stepping(0.1, max_steps=32, retries=0))
     solution = short(gel(**GEL), tensor(*DESIGN), grid(50.0, 501))
     assert int(solution.status) == Status.TOO_MANY_STEPS
     assert "max_steps" in solution.summary()
     known = torch.isfinite(solution.radius)
     assert 1 < int(known.sum()) < 501
     assert not bool(known.diff().to(torch.int8).sum() > 1)
-    full = PolytropicSimulator(stepping=Stepping(0.1))(gel(**GEL), tensor(*DESIGN), grid(50.0, 501))
+    full = PolytropicSimulator(engine=engine, stepping=Stepping(0.1))(gel(**GEL), tensor(*DESIGN), grid(50.0, 501))
     torch.testing.assert_close(solution.radius[known], full.radius[known], rtol=0.0, atol=1e-12)
 
 
-def test_that_one_member_out_of_steps_does_not_stop_the_others() -> None:
+@BOTH
+def test_that_one_member_out_of_steps_does_not_stop_the_others(engine: Engine) -> None:
     times = torch.stack((grid(0.5, 11), grid(50.0, 11)))
-    short = PolytropicSimulator(stepping=Stepping(0.1, max_steps=64, retries=0))
+    short = PolytropicSimulator(engine=engine, stepping=Stepping(0.1, max_steps=64, retries=0))
     solution = short(gel(**GEL), tensor(*DESIGN), times)
     assert solution.status.tolist() == [Status.DONE, Status.TOO_MANY_STEPS]
     alone = short(gel(**GEL), tensor(*DESIGN), times[0])
     torch.testing.assert_close(solution.radius[0], alone.radius, rtol=0.0, atol=1e-12)
 
 
-def test_that_a_member_that_fails_at_a_coarse_step_is_saved_by_a_finer_one() -> None:
+@BOTH
+def test_that_a_member_that_fails_at_a_coarse_step_is_saved_by_a_finer_one(engine: Engine) -> None:
     """Without a gel and from twenty times its rest radius: the longest step loses the wall, half of it does not."""
     parameters, designs = torch.stack((gel(**GEL), gel())), tensor([1000.0, 0.2], [1000.0, 0.05])
     once, again = (
-        PolytropicSimulator(stepping=Stepping(0.5, retries=retries))(parameters, designs, grid(1.0, 11)) for retries in (0, 3)
+        PolytropicSimulator(engine=engine, stepping=Stepping(0.5, retries=retries))(parameters, designs, grid(1.0, 11))
+        for retries in (0, 3)
     )
     assert once.ok.tolist() == [True, False]
     assert again.ok.tolist() == [True, True]
     assert torch.equal(once.radius[0], again.radius[0])
-    exact = PolytropicSimulator(stepping=FINE)(parameters[1], designs[1], grid(1.0, 11))
+    exact = PolytropicSimulator(engine=engine, stepping=FINE)(parameters[1], designs[1], grid(1.0, 11))
     torch.testing.assert_close(again.radius[1, :9], exact.radius[:9], rtol=0.0, atol=2e-2)
 
 
+@BOTH
 @pytest.mark.parametrize(("step", "error"), [(0.15, 2e-4), (0.5, 2e-2)])
-def test_that_memory_that_fades_within_a_step_is_followed_at_the_limit_of_stability(step: float, error: float) -> None:
+def test_that_memory_that_fades_within_a_step_is_followed_at_the_limit_of_stability(
+    engine: Engine, step: float, error: float
+) -> None:
     """Steps that resolve such memory see the same bubbles, and none has to be tried again with half the step."""
     springs = {"tau": {"G": 5e3}, "tau_ucm": {}, "tau_sns": {"G": 5e3}, "tau_sls": {"G_lin": 5e3}}
     gels = torch.stack([gel(mu=0.1, **{name: 4e-7}, **spring) for name, spring in springs.items()])
     coarse, fine = (
-        PolytropicSimulator(stepping=stepping)(gels, tensor(400.0, 0.2), grid(1.5, 31))
+        PolytropicSimulator(engine=engine, stepping=stepping)(gels, tensor(400.0, 0.2), grid(1.5, 31))
         for stepping in (Stepping(step, retries=0), FINE)
     )
     assert bool(coarse.ok.all())
@@ -324,14 +355,15 @@ def test_that_bad_options_are_named(call: Callable[[], object], message: str) ->
         call()
 
 
-def test_a_follower_that_needs_a_little_longer_than_its_leader_gets_there():
+@BOTH
+def test_a_follower_that_needs_a_little_longer_than_its_leader_gets_there(engine: Engine):
     gel = PARAMETERS.pack({"G": 8e3, "mu": 0.08}).expand(2, -1)
     designs = torch.tensor([[400.0, 0.2]], dtype=torch.float64).expand(2, -1)
     times = torch.linspace(0.0, 2.0, 21, dtype=torch.float64) * torch.tensor([[1.0], [1.4]], dtype=torch.float64)
-    alone = PolytropicSimulator()(gel, designs, times)
+    alone = PolytropicSimulator(engine=engine)(gel, designs, times)
     enough = int(alone.steps[0])
     assert int(alone.steps[1]) > enough
-    hasty = PolytropicSimulator(stepping=replace(Stepping(), max_steps=enough))
+    hasty = PolytropicSimulator(engine=engine, stepping=replace(Stepping(), max_steps=enough))
     made = hasty.bundle(gel, designs, times)
     assert bool(made.ok.all())
     assert torch.equal(made.radius, alone.radius)

@@ -20,13 +20,19 @@ from imr_torch.simulate import (
     TransportSimulator,
     sensitivities,
 )
+from imr_torch.simulate.engines import ENGINES
 
 TIMES = torch.linspace(0.0, 1.6, 33, dtype=torch.float64)
 NAMES = ("G", "mu", "alpha", *DESIGN)
 SMALL = Resolution(12, 8)
 FINE = TransportSimulator(accuracy=Accuracy(1e-6, SMALL))
 FAST = TransportSimulator(accuracy=ACCURACIES["fast"])
-SIMULATORS = [pytest.param(FAST, id="transport"), pytest.param(PolytropicSimulator(), id="polytropic")]
+SIMULATORS = [
+    pytest.param(FAST, id="transport"),
+    pytest.param(PolytropicSimulator(), id="polytropic"),
+    pytest.param(replace(FAST, engine="torchdiffeq"), id="transport on tensors"),
+    pytest.param(PolytropicSimulator(engine="torchdiffeq"), id="polytropic on tensors"),
+]
 
 
 def gels(count: int) -> tuple[Tensor, Tensor]:
@@ -99,12 +105,15 @@ def test_that_the_leader_of_a_bundle_does_not_feel_its_followers(simulator: Simu
         torch.testing.assert_close(getattr(solution, name), value, rtol=1e-9, atol=1e-9)
 
 
-def test_that_they_do_not_depend_on_neighbours_slots_or_the_other_columns() -> None:
+@pytest.mark.parametrize("engine", ENGINES)
+def test_that_they_do_not_depend_on_neighbours_blocks_or_the_other_columns(engine, monkeypatch: pytest.MonkeyPatch) -> None:
     parameters, designs = gels(7)
-    crowded = replace(FAST, accuracy=replace(FAST.accuracy, slots=9))
-    _, together = sensitivities(crowded, parameters, designs, TIMES, names=("G", "mu", "rest_radius"))
+    simulator = replace(FAST, engine=engine)
+    with monkeypatch.context() as patch:
+        patch.setattr("imr_torch.simulate.transport._BATCH", 9)
+        _, together = sensitivities(simulator, parameters, designs, TIMES, names=("G", "mu", "rest_radius"))
     for i in (0, 6):
-        _, alone = sensitivities(FAST, parameters[i], designs[i], TIMES, names=("rest_radius", "G"))
+        _, alone = sensitivities(simulator, parameters[i], designs[i], TIMES, names=("rest_radius", "G"))
         assert relative(together[i][:, [2, 0]], alone) < 1e-5
 
 

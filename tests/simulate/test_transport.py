@@ -25,6 +25,7 @@ from imr_torch.simulate import (
 )
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.controller import Controller
+from imr_torch.simulate.engines import ENGINES
 from imr_torch.simulate.rhs import HEAD, Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step
 
@@ -57,11 +58,25 @@ def test_batch_shapes_broadcast_and_every_member_is_done():
     assert solution.radius.dtype == torch.float64
 
 
-def test_a_member_does_not_depend_on_its_neighbours_or_on_the_slots():
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_member_does_not_depend_on_its_neighbours_or_on_the_blocks(engine, monkeypatch):
     parameters, designs = draws(12)
-    together = TransportSimulator(accuracy=Accuracy(slots=5))(parameters, designs, TIMES)
-    alone = [TransportSimulator()(parameters[i], designs[i], TIMES).radius for i in (0, 5, 11)]
-    assert float((together.radius[[0, 5, 11]] - torch.stack(alone)).abs().max()) < 1e-9
+    simulator = TransportSimulator(engine=engine)
+    alone = torch.stack([simulator(parameters[i], designs[i], TIMES).radius for i in (0, 5, 11)])
+    monkeypatch.setattr("imr_torch.simulate.transport._BATCH", 5)
+    together = simulator(parameters, designs, TIMES)
+    assert float((together.radius[[0, 5, 11]] - alone).abs().max()) < 1e-9
+    assert engine != "compiled" or torch.equal(together.radius[[0, 5, 11]], alone)
+
+
+def test_both_engines_give_the_same_solution_of_a_batch():
+    parameters, designs = draws(12)
+    compiled, tensors = (TransportSimulator(engine=engine)(parameters, designs, TIMES) for engine in ENGINES)
+    assert compiled.ok.all()
+    assert torch.equal(compiled.steps, tensors.steps)
+    assert torch.equal(compiled.status, tensors.status)
+    for name in ("radius", "velocity", "bubble_pressure"):
+        torch.testing.assert_close(getattr(compiled, name), getattr(tensors, name), rtol=1e-9, atol=1e-10)
 
 
 def test_default_accuracy_meets_its_target_on_prior_draws():
@@ -193,7 +208,8 @@ def test_a_wide_box_of_gels_and_designs_is_solved():
         (lambda: Medium(heat_capacity=math.nan), "Medium.heat_capacity is nan"),
         (lambda: Medium(capacity_of="air"), "expected 'medium' or 'gas_wall'"),
         (lambda: Accuracy(tolerance=0.0), "expected 1e-12 to 0.1"),
-        (lambda: Accuracy(slots=0), "slots of at least 1"),
+        (lambda: Accuracy(max_steps=0), "max_steps is 0; expected at least 1"),
+        (lambda: TransportSimulator(engine="gpu"), "engine is 'gpu'; expected one of compiled, torchdiffeq"),
         (lambda: TransportSimulator()(GEL, torch.tensor([550.0, 1.2]), TIMES), "0 < R_inf\\* < 1"),
         (lambda: TransportSimulator()(GEL, DESIGN, TIMES.flip(0)), "do not increase"),
     ],
