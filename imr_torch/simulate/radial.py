@@ -89,6 +89,15 @@ def _enthalpy(pressure: Scalar, exponent: Scalar, stiffness: Scalar) -> Scalar:
     return (1.0 + stiffness) / share * expm1(share * log1p((pressure - 1.0) / (1.0 + stiffness)))
 
 
+def _tait(
+    pressure: Scalar, rate: Scalar, far: Scalar, far_rate: Scalar, exponent: Scalar, stiffness: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
+    """``h`` between the wall and afar, the part of its rate without ``U'``, and ``w`` at the wall."""
+    near, beyond = _volume(pressure, exponent, stiffness), _volume(far, exponent, stiffness)
+    enthalpy = _enthalpy(pressure, exponent, stiffness) - _enthalpy(far, exponent, stiffness)
+    return enthalpy, near * rate - beyond * far_rate, near
+
+
 def keller_miksis_enthalpy(
     radius: Scalar,
     velocity: Scalar,
@@ -103,9 +112,7 @@ def keller_miksis_enthalpy(
     stiffness: Scalar,
 ) -> Scalar:
     """Compressible to first order in the Mach number, in the enthalpy of a Tait liquid."""
-    near, beyond = _volume(pressure, exponent, stiffness), _volume(far, exponent, stiffness)
-    enthalpy = _enthalpy(pressure, exponent, stiffness) - _enthalpy(far, exponent, stiffness)
-    change = near * rate - beyond * far_rate
+    enthalpy, change, near = _tait(pressure, rate, far, far_rate, exponent, stiffness)
     return _acceleration(radius, velocity, enthalpy, change, near * inertia, slowness, 1.0, image)
 
 
@@ -123,9 +130,7 @@ def gilmore(
     stiffness: Scalar,
 ) -> Scalar:
     """The enthalpy form with the sound speed of the Tait liquid at the wall, ``1/c = (1/c_0) q^(-(n-1)/(2n))``."""
-    near, beyond = _volume(pressure, exponent, stiffness), _volume(far, exponent, stiffness)
-    enthalpy = _enthalpy(pressure, exponent, stiffness) - _enthalpy(far, exponent, stiffness)
-    change = near * rate - beyond * far_rate
+    enthalpy, change, near = _tait(pressure, rate, far, far_rate, exponent, stiffness)
     slower = slowness * power(_compression(pressure, stiffness), -0.5 * (1.0 - 1.0 / exponent))
     return _acceleration(radius, velocity, enthalpy, change, near * inertia, slower, 1.0 - slower * velocity, image)
 

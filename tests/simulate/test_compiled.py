@@ -159,7 +159,7 @@ FAILURES = [
     (TransportSimulator, {"G": 4e3, "mu": 0.08}, {"accuracy": Accuracy(max_steps=40)}, Status.TOO_MANY_STEPS),
     (TransportSimulator, {"G": 1e5, "alpha": -1.0}, {}, Status.UNBOUNDED_ENERGY),
     (PolytropicSimulator, {"G": 4e3, "mu": 0.08}, {"stepping": Stepping(max_steps=32)}, Status.TOO_MANY_STEPS),
-    (PolytropicSimulator, {"G": 1e6, "alpha_fung": 10.0}, {"stepping": Stepping(0.5, retries=0)}, Status.RUNAWAY),
+    (PolytropicSimulator, {"G": 1e5, "alpha_fung": 0.1}, {"stepping": Stepping(0.5, retries=0)}, Status.RUNAWAY),
     (PolytropicSimulator, {"G": 2770.0, "alpha": -0.9}, {}, Status.UNBOUNDED_ENERGY),
 ]
 
@@ -248,8 +248,8 @@ def test_that_engine_and_threads_do_not_tell_simulators_apart() -> None:
     assert replace(one, accuracy=Accuracy(1e-3)) != one
 
 
-BROKEN_SIGN = """
-    import sys, torch
+ONE_BUBBLE = """
+    import torch
     from imr_torch.material import PARAMETERS
     from imr_torch.simulate import PolytropicSimulator
     design, times = torch.tensor([300.0, 0.3], dtype=torch.float64), torch.linspace(0.0, 1.0, 11, dtype=torch.float64)
@@ -258,7 +258,7 @@ BROKEN_SIGN = """
 """
 
 
-def in_a_process(cache: Path, script: str = BROKEN_SIGN) -> tuple[str, str]:
+def in_a_process(cache: Path, script: str = ONE_BUBBLE) -> tuple[str, str]:
     """Standard output and error of a script whose compiled code is kept in a folder."""
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(script)],
@@ -283,8 +283,8 @@ def test_that_code_is_compiled_once_said_so_and_made_anew_where_it_was_damaged(t
     assert third == first
 
 
-@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
 def test_that_a_folder_that_cannot_be_written_is_no_obstacle(tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    _, said = in_a_process(tmp_path)
-    assert "cannot be written" in said
+    (tmp_path / "file").write_text("")
+    first, said = in_a_process(tmp_path / "file" / "cache")
+    assert "cannot be written, so compiled code is not kept; set IMR_TORCH_CACHE" in said
+    assert 0.0 < float(first) < 1.0

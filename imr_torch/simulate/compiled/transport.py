@@ -216,24 +216,29 @@ def point_at(state, space, work, member, setup):
     return Point(wall, radius, velocity, pressure, rate, heat, vapour, loss)
 
 
+def node_at(i, space, work):
+    """What :func:`point_at` left of an inner node."""
+    n, heat, vapour, profile = len(space.y), work.inner[0], work.inner[1], work.profile
+    return Node(
+        space.y[i],
+        profile[0, i],
+        profile[1, i],
+        profile[2, i],
+        heat[1 + i],
+        heat[1 + n + i],
+        vapour[1 + i],
+        vapour[1 + n + i],
+    )
+
+
 def rates_at(point, acceleration, space, work, member, setup, out):
     """``f(x)`` without the rates of memory."""
     b, c, n, m = member.b, setup.c, len(space.y), len(space.shear)
     radius, velocity, pressure, rate = point.radius, point.velocity, point.pressure, point.rate
     out[0], out[1], out[2] = velocity, acceleration, rate / pressure
     out[3] = wall_balance(point.wall, point.heat, point.vapour, work.outer[0, 0], b, c)
-    heat, vapour, profile = work.inner[0], work.inner[1], work.profile
     for i in range(n):
-        node = Node(
-            space.y[i],
-            profile[0, i],
-            profile[1, i],
-            profile[2, i],
-            heat[1 + i],
-            heat[1 + n + i],
-            vapour[1 + i],
-            vapour[1 + n + i],
-        )
+        node = node_at(i, space, work)
         warmer, wetter = node_rates(node, radius, velocity, pressure, rate, b, c)
         out[_HEAD + i], out[_HEAD + n + i] = warmer, wetter
     outer = work.outer[0]
@@ -247,19 +252,10 @@ def field_slopes(point, space, work, member, setup):
     """The derivatives of the fields' rates at each node, into ``work``: factors of the operators, and the border."""
     b, c, n, m, wall = member.b, setup.c, len(space.y), len(space.shear), point.wall
     radius, velocity, pressure, rate = point.radius, point.velocity, point.pressure, point.rate
-    heat, vapour, profile, border, factors = work.inner[0], work.inner[1], work.profile, work.inner_border, work.factors
+    border, factors = work.inner_border, work.factors
     log_rate = rate / pressure
     for i in range(n):
-        node = Node(
-            space.y[i],
-            profile[0, i],
-            profile[1, i],
-            profile[2, i],
-            heat[1 + i],
-            heat[1 + n + i],
-            vapour[1 + i],
-            vapour[1 + n + i],
-        )
+        node = node_at(i, space, work)
         s = node_slopes(node, radius, velocity, pressure, rate, b, c)
         factors[0, i], factors[1, i], factors[2, i] = s.heat_first, s.heat_second, s.heat_self
         factors[3, i], factors[4, i], factors[5, i] = s.vapour_first, s.vapour_second, s.vapour_self
