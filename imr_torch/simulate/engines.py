@@ -10,15 +10,11 @@ import functools
 import importlib.util
 import os
 import warnings
-from collections.abc import Sequence
 from dataclasses import is_dataclass, replace
 from typing import Literal
 
-from torch import Tensor
-
 from imr_torch.errors import EngineWarning, InputDataError
-from imr_torch.material import StressTerm
-from imr_torch.simulate.conditions import Conditions
+from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.simulator import Simulator
 
 Engine = Literal["compiled", "torchdiffeq"]
@@ -43,24 +39,18 @@ def on_one_thread(simulator: Simulator) -> Simulator:
     return replace(simulator, threads=1) if is_dataclass(simulator) and hasattr(simulator, "threads") else simulator
 
 
-def compiles(engine: Engine, parameters: Tensor, conditions: Conditions, terms: Sequence[StressTerm] | None) -> bool:
-    """Whether the compiled engine integrates a batch; if it was asked for and cannot, the reason is given once.
-
-    Args:
-        engine: that was asked for.
-        parameters: of the batch, for their device and dtype.
-        conditions: of the simulator.
-        terms: stress terms that the simulator was given; None for all.
-    """
+def compiles(engine: Engine, bubbles: Bubbles) -> bool:
+    """Whether the compiled engine integrates a batch; if it was asked for and cannot, the reason is given once."""
     if engine != "compiled":
         return False
-    reason = _obstacle(parameters, conditions, terms)
+    reason = _obstacle(bubbles)
     if reason is not None:
         _say(f"Bubbles are integrated by the torchdiffeq engine, since {reason}; results are the same and take longer.")
     return reason is None
 
 
-def _obstacle(parameters: Tensor, conditions: Conditions, terms: Sequence[StressTerm] | None) -> str | None:
+def _obstacle(bubbles: Bubbles) -> str | None:
+    parameters = bubbles.parameters
     if not _has_numba():
         return "Numba is not installed (pip install numba)"
     if parameters.device.type != "cpu":
@@ -69,7 +59,7 @@ def _obstacle(parameters: Tensor, conditions: Conditions, terms: Sequence[Stress
         return f"the compiled engine computes in float64, not in {parameters.dtype}"
     from imr_torch.simulate.compiled.run import obstacle
 
-    return obstacle(conditions, terms)
+    return obstacle(bubbles)
 
 
 @functools.cache

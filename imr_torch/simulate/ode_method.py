@@ -13,13 +13,10 @@ changes the errors more than the bubble: sensitivities then err by 10 %, and not
 error are no better, since in violent collapses they depend chaotically on it.
 """
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor
 
 from imr_torch.errors import UnsupportedError
-from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.controller import FIRST_STEP, REST, Controller
@@ -37,27 +34,33 @@ class TransportField:
     """A batch of bubbles as ``torchdiffeq`` takes it.
 
     Args:
-        parameters: ``B x p`` tensor, SI, in the order of ``PARAMETERS``.
-        designs: ``B x 2`` tensor, (We, R_inf*).
-        conditions: surroundings, contents and gel.
-        resolution: grids inside and outside the bubble.
-        terms: stress terms to choose from; all registered ones by default.
+        equations: of the batch.
         width: members of a bundle; they lie side by side, the leader first.
     """
 
-    def __init__(
-        self,
+    def __init__(self, equations: Equations, width: int = 1) -> None:
+        self.equations, self.width = equations, width
+
+    @classmethod
+    def of(
+        cls,
         parameters: Tensor,
         designs: Tensor,
         *,
         conditions: Conditions | None = None,
         resolution: Resolution | None = None,
-        terms: Sequence[StressTerm] | None = None,
-        width: int = 1,
-    ) -> None:
-        bubbles = Bubbles.of(parameters, designs.to(parameters), conditions or Conditions(), terms)
+    ) -> "TransportField":
+        """The field of some gels and designs.
+
+        Args:
+            parameters: ``B x p`` tensor, SI, in the order of ``PARAMETERS``.
+            designs: ``B x 2`` tensor, (We, R_inf*).
+            conditions: surroundings, contents and gel.
+            resolution: grids inside and outside the bubble.
+        """
+        bubbles = Bubbles.of(parameters, designs.to(parameters), conditions or Conditions())
         inside, outside = (grid.to(parameters) for grid in (resolution or Resolution()).grids())
-        self.equations, self.width = Equations(bubbles, inside, outside), width
+        return cls(Equations(bubbles, inside, outside))
 
     def __len__(self) -> int:
         return len(self.equations.bubbles)
@@ -74,9 +77,7 @@ class TransportField:
 
     def take(self, members: Tensor) -> "TransportField":
         """The field of the members with these indices: whole bundles."""
-        taken = object.__new__(TransportField)
-        taken.equations, taken.width = self.equations.take(members), self.width
-        return taken
+        return TransportField(self.equations.take(members), self.width)
 
     def start(self) -> Tensor:
         """The state at maximum radius, ``(4 + 2n + m + K + CONTROL) x B``."""

@@ -68,7 +68,7 @@ class PolytropicSimulator:
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
         stepping = self.stepping
         tracked = torch.is_grad_enabled() and any(x.requires_grad for x in (parameters, designs, times))
-        if not tracked and compiles(self.engine, parameters, self.conditions, self.terms):
+        if not tracked and compiles(self.engine, bubbles):
             from imr_torch.simulate.compiled.run import solve_polytropic
 
             return solve_polytropic(bubbles, self.terms, times, width, stepping, self.threads)

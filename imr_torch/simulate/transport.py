@@ -21,6 +21,7 @@ from imr_torch.simulate.controller import FIRST_STEP, PATIENCE, RUNAWAY, UNDERFL
 from imr_torch.simulate.engines import Engine, check_engine, compiles
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import CONTROL, METHOD, TransportField
+from imr_torch.simulate.rhs import Equations
 from imr_torch.simulate.sensitivity import differentiable
 from imr_torch.simulate.simulator import Solution, Status, solve_batch, solve_bundles
 
@@ -105,21 +106,14 @@ class TransportSimulator:
     def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1) -> tuple[Tensor, ...]:
         """One block of members, bundle after bundle: radius, velocity, pressure, status, steps."""
         settings = self.accuracy
-        if compiles(self.engine, parameters, self.conditions, self.terms):
+        bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
+        if compiles(self.engine, bubbles):
             from imr_torch.simulate.compiled.run import solve_transport
 
-            bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
             limits = (settings.tolerance, settings.max_steps, FIRST_STEP)
             return solve_transport(bubbles, self.terms, times, width, settings.resolution, limits, self.threads)
-        bubbles = TransportField(
-            parameters,
-            designs,
-            conditions=self.conditions,
-            resolution=settings.resolution,
-            terms=self.terms,
-            width=width,
-        )
-        return _march(bubbles, times, settings)
+        inside, outside = (grid.to(parameters) for grid in settings.resolution.grids())
+        return _march(TransportField(Equations(bubbles, inside, outside), width), times, settings)
 
 
 def _march(whole: TransportField, times: Tensor, settings: Accuracy) -> tuple[Tensor, ...]:

@@ -12,7 +12,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.elementary import Scalar
 from imr_torch.errors import EngineWarning, InputDataError
 from imr_torch.material import LIBRARY, MATERIALS, PARAMETERS, TERMS, StressTerm
 from imr_torch.material.viscous import newtonian
@@ -188,12 +187,8 @@ def torch_only(radius: Tensor, velocity: Tensor, rest_radius: Tensor, mu: Tensor
     return value.clone(), rate, acceleration
 
 
-def same_as_newtonian(radius: Scalar, velocity: Scalar, rest_radius: Scalar, mu: Scalar) -> tuple[Scalar, ...]:
-    return newtonian(radius, velocity, rest_radius, mu)
-
-
 @SIMULATORS
-def test_that_a_law_without_a_compiled_form_runs_on_tensors_and_is_named_once(kind, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_that_a_law_without_a_compiled_form_runs_on_tensors_and_is_named_once(kind) -> None:
     engines._say.cache_clear()
     simulator = kind(terms=(StressTerm(torch_only, switch="mu"),))
     with pytest.warns(EngineWarning, match=r"torch_only has no compiled form; results are the same and take longer"):
@@ -203,6 +198,13 @@ def test_that_a_law_without_a_compiled_form_runs_on_tensors_and_is_named_once(ki
         again = simulator(gel(mu=0.1), DESIGNS, TIMES)
     assert torch.equal(ours.radius, again.radius)
     assert float((ours.radius - kind()(gel(mu=0.1), DESIGNS, TIMES).radius).abs().max()) < SAME
+
+
+def test_that_a_law_without_a_compiled_form_is_no_obstacle_where_it_does_not_act(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imr_torch.simulate.bubbles.TERMS", [*TERMS, StressTerm(torch_only, switch="damage")])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert bool(PolytropicSimulator()(gel(mu=0.1), DESIGNS, TIMES).ok.all())
 
 
 def test_that_float32_and_a_foreign_driving_run_on_tensors_and_say_why() -> None:

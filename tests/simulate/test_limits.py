@@ -167,7 +167,7 @@ def test_that_energy_is_kept_when_the_heat_that_leaves_is_counted(vapour: str) -
     """Of liquid, far field, surface, elastic gel and gas, ``p R^3/(3(k-1))``; heat leaves at ``chi tau'(1) R``."""
     conditions = Conditions(mixture=GasMixture(vapour=vapour), medium=Medium(warm=False), motion=RayleighPlesset())  # type: ignore[arg-type]
     parameters, designs = gel(G=5e3)[None], tensor(300.0, 0.45)[None]
-    field = TransportField(parameters, designs, conditions=conditions, resolution=Resolution(12, 4))
+    field = TransportField.of(parameters, designs, conditions=conditions, resolution=Resolution(12, 4))
     path = odeint(field, field.start(), torch.arange(301, dtype=torch.float64), method=METHOD, rtol=1e-6)[:, :, 0]
     times, accepted = path[:, -CONTROL], path[:, -1] <= 1.0
     states, times = path[accepted & (times <= 2.0), :-CONTROL], times[accepted & (times <= 2.0)]

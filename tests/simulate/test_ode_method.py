@@ -17,7 +17,7 @@ DESIGNS = torch.tensor([[300.0, 0.25], [150.0, 0.2]], dtype=torch.float64)
 
 
 def path(rtol: float = 3e-4):
-    field = TransportField(GELS, DESIGNS)
+    field = TransportField.of(GELS, DESIGNS)
     return field, odeint(field, field.start(), TICKS, method=METHOD, rtol=rtol)
 
 
@@ -54,7 +54,7 @@ def test_other_right_hand_sides_are_refused():
 
 
 def test_other_methods_are_refused():
-    field = TransportField(GELS, DESIGNS)
+    field = TransportField.of(GELS, DESIGNS)
     with pytest.raises(UnsupportedError, match="integrated by method='imr_rodas4p' only"):
         odeint(field, field.start(), TICKS, method="rk4")
 

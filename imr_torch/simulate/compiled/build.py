@@ -284,6 +284,7 @@ def _hash(registry: Registry) -> str:
     digest = hashlib.sha256()
     for version in (sys.version, numba.__version__, llvmlite.__version__, np.__version__):
         digest.update(version.encode())
+    digest.update(Path(elementary.__file__).read_bytes())  # how functions are compiled
     for function in (transport.solve_block, polytropic.solve_block, *registry.laws()):
         for part in elementary.code_of(function):
             digest.update(part)

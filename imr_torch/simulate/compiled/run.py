@@ -31,25 +31,25 @@ _CHUNK = 64  # bundles between two looks at the keyboard, at most
 _SHARES = 8  # chunks a thread, at least, so that none waits long for the last
 
 
-def obstacle(conditions: Conditions, terms: Sequence[StressTerm] | None) -> str | None:
-    """What keeps a simulator from the compiled engine, in words; None if nothing does."""
+def obstacle(bubbles: Bubbles) -> str | None:
+    """What keeps a batch from the compiled engine, in words; None if nothing does. Laws that do not act are no obstacle."""
+    conditions = bubbles.conditions
     laws = [type(conditions.motion).law, type(conditions.gas).law]
     if conditions.driving is not None:
         if not isinstance(conditions.driving, LawDriving):
             return f"the driving {type(conditions.driving).__name__} is no LawDriving"
         laws.append(type(conditions.driving).law)
     missing = [law.__qualname__ for law in laws if not has_compiled_form(law)]
-    missing += [term.name for term in (TERMS if terms is None else terms) if not term.compilable]
-    missing += [effect.name for effect in LIBRARY.values() if not effect.compilable]
+    missing += [part.name for part in (*bubbles.terms, *bubbles.effects) if not part.compilable]
     return f"{missing[0]} has no compiled form" if missing else None
 
 
 def registry_of(conditions: Conditions, terms: Sequence[StressTerm] | None) -> Registry:
-    """All laws that are registered, and those of a simulator beside them."""
+    """All laws that are registered and have a compiled form, and those of a simulator beside them."""
     driving = [type(conditions.driving).law] if isinstance(conditions.driving, LawDriving) else []
     return Registry(
-        terms=_all(TERMS, terms or ()),
-        effects=tuple(e for e in LIBRARY.values() if e.gas_loss or e.vapour or e.far_field),
+        terms=tuple(term for term in _all(TERMS, terms or ()) if term.compilable),
+        effects=tuple(e for e in LIBRARY.values() if e.compilable and (e.gas_loss or e.vapour or e.far_field)),
         radial=_all([type(motion).law for motion in RADIAL_EQUATIONS.values()], [type(conditions.motion).law]),
         gases=_all([polytropic_law], [type(conditions.gas).law]),
         drivings=_all(DRIVING_LAWS, driving),
