@@ -1,7 +1,8 @@
-"""Hybrid ensemble 4D-Var: fit the gel to whole R(t) records, several models and experiments at once.
+"""Hybrid ensemble 4D-Var: fit the gel to whole R(t) records, several models and experiments in one batched solve.
 
 Gauss-Newton on the joint cost of gel and nuisances, with sensitivities from a narrow ensemble about the current point
-(Spratt et al., J. Mech. Phys. Solids 152, 2021; Bocquet & Sakov 2013). Truncation needs no care: the controls are unbounded.
+(Spratt et al., J. Mech. Phys. Solids 152, 2021; Bocquet & Sakov 2013). All models x starts x members x experiments are
+stacked into one call of the simulator per iteration. Truncation needs no care: the controls are unbounded.
 
 Against the published method the likelihood is that of all repeats and frames, the prior enters once, and a step is
 taken only if it lowers the exact cost; see :mod:`imr_torch.assimilate.fit` for the certificate each fit carries.

@@ -40,7 +40,7 @@ class Certificate:
         gradient: length of the gradient in posterior standard deviations; below the tolerance at a minimum.
         agreement: cost of the second best start minus that of the best, in nats; ``inf`` when only one start ended well.
         iterations: Gauss-Newton iterations of the best start.
-        failed_members: share of ensemble members whose solve failed, over all iterations.
+        failed_members: share of ensemble members whose solve failed.
         converged: whether gradient and agreement are within the tolerances asked for.
     """
 

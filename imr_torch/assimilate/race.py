@@ -1,8 +1,7 @@
 """Which chains of a search are under way: who sets out, who rests, and who is sent out again.
 
 Two starts of a model must agree before its minimum is believed. Where many models race (``EnsembleOptions.hopeless``), most
-are left behind long before that matters, and their chains rest; so do all that cannot become the best, where only that one is
-asked for (``EnsembleOptions.best_only``). Goes in: a search between two iterations. The numerics are
+are left behind long before that matters, and their chains rest. Goes in: a search between two iterations. The numerics are
 no business of this file.
 """
 

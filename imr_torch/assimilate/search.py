@@ -1,9 +1,9 @@
 """The chains of an ensemble 4D-Var, several to a model, and one Gauss-Newton iteration of them.
 
-The starts of a model are simulated together, their members and experiments too. The ensemble advances in lock step with its
-centre, so that its differences are the solver's own sensitivities. Close to a minimum a chain also keeps its *leader*, the
-point whose solution decides on the steps of all others: the cost is then a smooth function, equal to itself from iteration to
-iteration and between starts, where solves that each decide for themselves leave some 1e-4 in R*.
+All models x starts x members x experiments are stacked into one call of the simulator an iteration. The ensemble advances in
+lock step with its centre, so that its differences are the solver's own sensitivities. Close to a minimum a chain also keeps
+its *leader*, the point whose solution decides on the steps of all others: the cost is then a smooth function, equal to itself
+from iteration to iteration and between starts, where solves that each decide for themselves leave some 1e-4 in R*.
 
 Chains that set out from scouts are *blunt* at first (:mod:`imr_torch.assimilate.blunt`), until they are near a minimum.
 Which chains are under way is decided elsewhere (:mod:`imr_torch.assimilate.race`).
