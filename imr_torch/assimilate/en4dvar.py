@@ -49,8 +49,7 @@ def assimilate(
         seed: of scouts and ensembles.
         options: how to search.
         near: an assimilation of the same belief and experiments (with another noise, say) to start from, in place of
-            scouts; the starts are then perturbed copies of its optimum or, of a fit that did not converge, where its starts
-            ended.
+            scouts; the starts are then perturbed copies of its optimum.
         starts: per model, two or more rows of ``d`` controls ``v`` (see :class:`imr_torch.assimilate.ModelFit`) to start from,
             in place of scouts.
         nuisances: per model, ``E x 3`` standardised nuisances with which its starts begin; zero by default.
@@ -90,7 +89,7 @@ def assimilate(
     for fit in fits:
         if warn and not fit.certificate.converged:
             warnings.warn(f"{fit.model}: {fit.certificate}", ConvergenceWarning, stacklevel=2)
-    return Assimilation(belief, batch, fits, search.ends())
+    return Assimilation(belief, batch, fits)
 
 
 def _run(search: Search, race: Race, progress: Progress | None) -> None:

@@ -182,13 +182,11 @@ class Assimilation:
         prior: belief before the data.
         batch: the data.
         fits: one per model, in the order of the belief.
-        ends: for each model where its starts ended, ``S x d`` controls and ``S x E x 3`` nuisances; empty where not known.
     """
 
     prior: Belief
     batch: ExperimentBatch
     fits: tuple[ModelFit, ...]
-    ends: tuple[tuple[Tensor, Tensor], ...] = ()
 
     @property
     def converged(self) -> bool:

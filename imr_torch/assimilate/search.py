@@ -294,11 +294,6 @@ class Search:
         predictions = self._predict_led(best, self.gel[best, None], self.nuisances[best, None])[:, 0]
         return tuple(self._fit(chain, prediction) for chain, prediction in zip(best.tolist(), predictions, strict=True))
 
-    def ends(self) -> tuple[tuple[Tensor, Tensor], ...]:
-        """For each model the controls (``S x d``) and nuisances (``S x E x 3``) where its starts are."""
-        each = [(self.model == i, len(part.names)) for i, part in enumerate(self.belief.models)]
-        return tuple((self.gel[rows, :free].clone(), self.nuisances[rows].clone()) for rows, free in each)
-
     def _best(self, model: int) -> int:
         """The start of a model with the lowest cost; of equals, the one that converged furthest."""
         rows = torch.nonzero(self.model == model)[:, 0]

@@ -4,7 +4,7 @@ Starts of a model are apart from each other, so that their ending in one place s
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -72,26 +72,20 @@ def given(problem: Problem, gels: Sequence[Tensor], nuisances: Sequence[Tensor] 
 
 
 def beside(problem: Problem, near: Assimilation, options: EnsembleOptions, source: torch.Generator) -> Starts:
-    """Each model's optimum in an earlier assimilation, and perturbed copies of it; or its ends, if it did not converge."""
-    model, gel, nuisances, reserve = [], [], [], []
-    for i, key in enumerate(problem.belief.keys):
-        fit = near[key]
-        noise = torch.stack([around(fit.chol, source, _BESIDE) for _ in range(options.starts)])
-        noise[0] = 0.0
-        rows, own = fit.mean + noise, fit.nuisances.expand(options.starts, -1, -1)
-        if near.ends and not fit.certificate.converged:
-            rows, own = near.ends[near.prior.keys.index(key)]
-        model.append(torch.full((len(rows),), i))
-        gel.append(problem.padded(rows))
-        nuisances.append(own)
-        reserve.append(problem.padded(fit.mean).expand(len(rows), -1))
-    starts = Starts(torch.cat(model), torch.cat(gel), torch.cat(nuisances), torch.empty(0))
-    cost = problem.cost(starts.model, starts.gel, starts.nuisances)
+    """Each model's optimum in an earlier assimilation, and perturbed copies of it."""
+    model = torch.arange(len(problem.belief.models)).repeat_interleave(options.starts)
+    fits = [near[problem.belief.keys[i]] for i in model.tolist()]
+    noise = torch.stack([problem.padded(around(fit.chol, source, _BESIDE)) for fit in fits])
+    noise[:: options.starts] = 0.0
+    optimum = torch.stack([problem.padded(fit.mean) for fit in fits])
+    nuisances = torch.stack([fit.nuisances for fit in fits])
+    gel = optimum + noise
+    cost = problem.cost(model, gel, nuisances)
     failed = torch.isinf(cost)
     if bool(failed.any()):
-        starts.gel[failed] = torch.cat(reserve)[failed]
-        cost[failed] = problem.cost(starts.model[failed], starts.gel[failed], starts.nuisances[failed])
-    return replace(starts, cost=cost)
+        gel[failed] = optimum[failed]
+        cost[failed] = problem.cost(model[failed], gel[failed], nuisances[failed])
+    return Starts(model, gel, nuisances, cost)
 
 
 def around(chol: Tensor, source: torch.Generator, away: float) -> Tensor:

@@ -13,7 +13,7 @@ from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimi
 from imr_torch.assimilate.problem import Problem
 from imr_torch.assimilate.race import Race
 from imr_torch.assimilate.search import Search
-from imr_torch.assimilate.starts import beside, given
+from imr_torch.assimilate.starts import given
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, InputDataError
 from imr_torch.material import PARAMETERS, Belief, TruncatedNormal
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory, predict
@@ -307,32 +307,6 @@ def test_that_where_only_the_best_model_counts_the_other_ends_as_soon_as_it_cann
     assert one[poor].certificate.converged
     assert not other[poor].certificate.converged
     assert other[poor].cost - 2.0 * other[poor].certificate.gradient ** 2 > other[best].cost
-
-
-def test_that_a_fit_that_did_not_converge_is_taken_up_where_its_starts_ended() -> None:
-    """Two starts end before either is in its minimum, the one that looks worse on its way to the better one."""
-    belief, batch = prior(("nhkv",)), experiments(3)
-    problem, starts = Problem(belief, batch, WavySimulator()), tensor((1.7, 0.0), (0.4, 0.0))
-    rough = Assimilation(
-        belief, batch, (fitted(belief, batch).fits[0],), ((starts, torch.zeros(2, 3, 3, dtype=torch.float64)),)
-    )
-    for converged in (False, True):
-        certificate = replace(rough.fits[0].certificate, converged=converged)
-        near = replace(rough, fits=(replace(rough.fits[0], certificate=certificate),))
-        begun = beside(problem, near, OPTIONS, torch.Generator().manual_seed(1)).gel
-        assert torch.equal(begun, starts) != converged
-        assert torch.equal(begun[0], near.fits[0].mean) == converged
-
-
-def test_that_an_assimilation_says_where_all_starts_ended() -> None:
-    belief, starts = prior(("nhkv", "gen_qkv")), [tensor((1.7, 0.0), (0.4, 0.0)), tensor((0.4, 0.0, 0.0), (1.7, 0.0, 0.0))]
-    options = EnsembleOptions(iterations=1, polish=False)
-    found = assimilate(belief, experiments(3), WavySimulator(), seed=1, options=options, starts=starts, warn=False)
-    for fit, (gels, nuisances), begun in zip(found.fits, found.ends, starts, strict=True):
-        assert gels.shape == begun.shape
-        assert nuisances.shape == (2, 3, 3)
-        assert bool((gels == fit.mean).all(1).any())
-        assert not bool((gels[0] == gels[1]).all())
 
 
 @pytest.mark.parametrize(
