@@ -31,11 +31,6 @@ def has_a_better_draw(fit: ModelFit, best: float) -> bool:
     return not fit.out_of_the_running(best) and _excess(fit) > _MORE
 
 
-def lowest_cost(fit: ModelFit) -> float:
-    """The cost at the optimum, or what the most probable draw says of it if that is less, nats."""
-    return fit.cost if fit.sample is None else fit.cost - max(_excess(fit), 0.0)
-
-
 def lower_minima(
     fits: Sequence[ModelFit], batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None = None
 ) -> dict[str, ModelFit]:

@@ -21,7 +21,7 @@ from torch import Tensor
 from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.importance import ImportanceSample, smooth
-from imr_torch.assimilate.lower import has_a_better_draw, lower_minima, lowest_cost
+from imr_torch.assimilate.lower import has_a_better_draw, lower_minima
 from imr_torch.assimilate.proposals import Kernels, mixture_log_prob, student_draws, student_log_prob
 from imr_torch.assimilate.ridge import trace_ridge
 from imr_torch.errors import ConvergenceError, InputDataError
@@ -119,9 +119,8 @@ def weigh(
             but where nuisances are uncertain the third has as many, each with four times the nuisances.
         rounds: most rounds; a model stops when the weights are reliable and their moments those that the proposal was
             made for, which after the first round are those of the fit's Gaussian.
-        hopeless: a model gets one round only, and is not fitted again, if its optimum is worse than the best one's by more than
-            this, nats, or if its evidence is, by weights that can be leant on; its most probable draw counts as its optimum
-            where a fit from there is in question.
+        hopeless: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
+            evidence is, by weights that can be leant on.
         refit: whether a model of which a draw comes upon a lower minimum is fitted again from there, and weighed anew.
         progress: called with one line per round.
 
@@ -147,8 +146,8 @@ def weigh(
         if progress:
             progress(f"draws: round {number}, " + ", ".join(f"{c.fit.model} {c.fit.trust}" for c in waiting))
         if refit:
-            _fit_again(waiting, courses, batch, simulator, child(seed, "refit", number), hopeless, progress)
-        ahead = _ahead([course.fit for course in courses], {c.fit.model: c.fit.cost for c in courses}, hopeless)
+            _fit_again(waiting, courses, batch, simulator, child(seed, "refit", number), progress)
+        ahead = _ahead([course.fit for course in courses], hopeless)
         waiting = [c for c in waiting if not c.parts or (c.refused and len(c.parts) < rounds and c.fit.model in ahead)]
     return replace(assimilation, fits=tuple(course.fit for course in courses))
 
@@ -159,15 +158,11 @@ def _fit_again(
     batch: ExperimentBatch,
     simulator: Simulator,
     seed: int,
-    hopeless: float | None,
     progress: Progress | None,
 ) -> None:
     """Take lower minima that the last round's draws of some of the courses came upon in place of their fits."""
     best = min(course.fit.cost for course in courses)
-    possible = [course for course in drawn if course.refits < _REFITS and has_a_better_draw(course.fit, best)]
-    lowest = {course.fit.model: lowest_cost(course.fit) for course in courses}
-    ahead = _ahead([course.fit for course in courses], lowest, hopeless)
-    doubtful = [course for course in possible if course.fit.model in ahead]
+    doubtful = [course for course in drawn if course.refits < _REFITS and has_a_better_draw(course.fit, best)]
     if not doubtful:
         return
     lower = lower_minima([course.fit for course in doubtful], batch, simulator, seed=seed, progress=progress)
@@ -186,14 +181,14 @@ def _proposal(course: _Course, batch: ExperimentBatch, simulator: Simulator) -> 
     return _again(course.proposals, course.parts)
 
 
-def _ahead(fits: list[ModelFit], costs: dict[str, float], hopeless: float | None) -> set[str]:
-    """Models that are worth further rounds: neither by their lowest cost nor by evidence far behind the best."""
+def _ahead(fits: list[ModelFit], hopeless: float | None) -> set[str]:
+    """Models that are worth further rounds: neither by optimum nor by evidence far behind the best."""
     if hopeless is None:
         return {fit.model for fit in fits}
     samples = {fit.model: fit.sample for fit in fits if fit.sample is not None and fit.sample.reliable}
     evidence = {model: sample.log_evidence for model, sample in samples.items()}
-    best, most = min(costs.values()), max(evidence.values(), default=-math.inf)
-    near = {model for model, cost in costs.items() if cost <= best + hopeless}
+    best, most = min(fit.cost for fit in fits), max(evidence.values(), default=-math.inf)
+    near = {fit.model for fit in fits if fit.cost <= best + hopeless}
     return near - {model for model, value in evidence.items() if value < most - hopeless}
 
 

@@ -3,17 +3,13 @@
 import copy
 import math
 import warnings
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate
-from imr_torch.assimilate.problem import Problem
-from imr_torch.assimilate.race import Race
-from imr_torch.assimilate.search import Search
-from imr_torch.assimilate.starts import given
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, InputDataError
 from imr_torch.material import PARAMETERS, Belief, TruncatedNormal
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory, predict
@@ -272,63 +268,6 @@ def test_that_in_a_race_a_second_start_does_not_wait_for_the_last_digits_of_the_
     )
     assert len(lines) == 6
     assert found.fits[0].certificate.agreement < 1e-6
-
-
-@dataclass(frozen=True)
-class CountingSimulator(LinearSimulator):
-    """Counts the bubbles of each call."""
-
-    asked: list[int] = field(default_factory=list)
-
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        solution = super().__call__(parameters, designs, times)
-        self.asked.append(solution.status.numel())
-        return solution
-
-
-@pytest.mark.parametrize(("models", "members"), [(("nhkv",), 2), (("newtonian", "gen_qkv"), 1 + 3)])
-def test_that_an_iteration_asks_for_members_of_the_own_controls_and_one_step(models: tuple[str, ...], members: int) -> None:
-    """The simulator is linear, so the first step of each chain does what it promises and no other is tried."""
-    belief, simulator = prior(models), CountingSimulator()
-    starts = [tensor([0.3] * len(part.names), [1.5] * len(part.names)) for part in belief.models]
-    options, chains = EnsembleOptions(iterations=1, polish=False), 2 * len(models)
-    assimilate(belief, experiments(1), simulator, seed=1, options=options, starts=starts, warn=False)
-    begin, trial, end = chains, chains, len(models)
-    assert sum(simulator.asked) == begin + chains + 2 * members + trial + end
-
-
-def test_that_where_only_the_best_model_counts_the_other_ends_as_soon_as_it_cannot_be_it() -> None:
-    """The better model's answer is the same; the other's cost already lies above it by more than its gradient promises."""
-    belief, batch = prior(("newtonian", "nhkv")), experiments(3, nuisance=BOTH)
-    one, other = (fitted(belief, batch, options=replace(OPTIONS, best_only=only)) for only in (False, True))
-    best, poor = min(one.fits, key=lambda fit: fit.cost).model, max(one.fits, key=lambda fit: fit.cost).model
-    torch.testing.assert_close(other[best].mean, one[best].mean, rtol=0.0, atol=1e-6)
-    assert other[best].certificate.converged
-    assert one[poor].certificate.converged
-    assert not other[poor].certificate.converged
-    assert other[poor].cost - 2.0 * other[poor].certificate.gradient ** 2 > other[best].cost
-
-
-@pytest.mark.parametrize(
-    ("costs", "gradients", "finished", "ended"),
-    [
-        ((1.0, 1.05, 5.0), (5e-4, 0.05, 3.0), (True, False, False), True),
-        ((1.05, 1.0, 5.0), (5e-4, 0.05, 3.0), (True, False, False), True),
-        ((1.0, 1.05, 5.0), (5e-4, 0.2, 3.0), (True, False, False), False),
-        ((1.0, 1.3, 5.0), (5e-4, 0.05, 3.0), (True, False, False), False),
-        ((1.0, 1.05, 5.0), (5e-3, 0.05, 3.0), (False, False, False), False),
-    ],
-    ids=["at one cost", "the lower is behind", "far from the minimum", "at another cost", "none has converged"],
-)
-def test_that_starts_end_once_one_has_converged_and_a_second_is_all_but_there(costs, gradients, finished, ended) -> None:
-    belief, batch, source = prior(("nhkv",)), experiments(2), torch.Generator()
-    problem = Problem(belief, batch, LinearSimulator())
-    begun = given(problem, [tensor((0.3, 0.0), (0.5, 0.0), (1.5, 0.0))], None)
-    search = Search(problem, begun, EnsembleOptions(), bluntly=False, source=source)
-    search.cost, search.gradient, search.finished = tensor(*costs), tensor(*gradients), torch.tensor(finished)
-    search.iterations += 1
-    Race(search).referee()
-    assert bool(search.finished.all()) == ended
 
 
 # ---------------------------------------------------------------- certificates, both ways

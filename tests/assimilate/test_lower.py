@@ -52,17 +52,6 @@ def test_that_a_draw_is_better_only_above_another_minimum_and_of_a_model_that_ma
     assert not has_a_better_draw(wrong, wrong.cost - 200.0)
 
 
-def test_that_a_model_that_cannot_matter_is_not_fitted_again() -> None:
-    """Neither where its most probable draw is behind the best optimum, nor where reliable weights put its evidence behind."""
-    batch, options = experiments(3, nuisance=BOTH), EnsembleOptions(scouts=24, starts=2)
-    both = assimilate(prior(("nhkv", "gen_qkv")), batch, LinearSimulator(), seed=1, options=options)
-    high = ended_too_high(replace(both, fits=both.fits[1:]), 2.5).fits[0]
-    for shift, again in ((0.0, True), (12.0, False)):
-        wrong = replace(both, fits=(replace(both.fits[0], cost=both.fits[0].cost - shift), high))
-        found = weigh(wrong, LinearSimulator(), seed=0, hopeless=10.0)
-        assert (found["gen_qkv"].cost < high.cost - 3.0) == again
-
-
 @pytest.mark.parametrize("limit", [1, 2])
 def test_that_a_fit_that_only_looks_too_high_keeps_its_minimum_and_is_weighed_to_the_end(
     right: Assimilation, monkeypatch: pytest.MonkeyPatch, limit: int

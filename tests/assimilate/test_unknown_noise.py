@@ -86,21 +86,3 @@ def test_that_only_the_last_fits_are_held_to_the_tolerances_and_warned_of(monkey
     asked.clear()
     fitted(filmed(3.0, 1), 0)
     assert asked == [(OPTIONS.gradient, OPTIONS.agreement, True)]
-
-
-def test_that_all_models_are_fitted_first_and_last_and_the_best_alone_between(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-
-    def noted(belief, *args, options: EnsembleOptions, **kwargs):
-        asked.append((belief.keys, options.best_only))
-        return assimilate(belief, *args, options=options, **kwargs)
-
-    monkeypatch.setattr(unknown_noise, "assimilate", noted)
-    models, batch = ("newtonian", "nhkv"), filmed(2.0, 8)
-    found = fitted(batch, 2, models)
-    assert asked == [(models, True), (("nhkv",), True), (models, False)]
-    assert found.converged
-    assert found.batch.noise.scale == pytest.approx(fitted(batch, 2).batch.noise.scale, rel=1e-3)
-    same = assimilate(prior(models), found.batch, LinearSimulator(), seed=7, options=OPTIONS)
-    for fit in found.fits:
-        torch.testing.assert_close(fit.mean, same[fit.model].mean, rtol=0.0, atol=1e-6)
