@@ -23,8 +23,6 @@ class EnsembleOptions:
             any model by more than this, nats; never when not given. When given, models race: the best start of each sets
             out, and a second follows once that is near a minimum and not too far behind; of more than two, all follow from
             farther behind too.
-        best_only: whether only the best model's fit will be used: a start of any model ends, unconverged, once its cost less
-            what its gradient promises is above the lowest cost.
         descents: times that models may be sent out again into a deeper valley of their nuisances
             (:mod:`imr_torch.assimilate.valleys`); with 0 nobody looks, as where nuisances begin at a fit whose valleys were.
         blunt: whether chains leave the frames next to collapses out until they are near a minimum
@@ -41,7 +39,6 @@ class EnsembleOptions:
     gradient: float = 1e-3
     agreement: float = 0.1
     hopeless: float | None = None
-    best_only: bool = False
     descents: int = 3
     blunt: bool | None = None
     polish: bool = True

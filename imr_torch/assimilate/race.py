@@ -5,8 +5,6 @@ are left behind long before that matters, and their chains rest. Goes in: a sear
 no business of this file.
 """
 
-import math
-
 import torch
 from torch import Tensor
 
@@ -49,16 +47,18 @@ class Race:
             search.finished[rows[torch.argsort(search.cost[rows])[1:]]] = True
 
     def _give_up(self) -> None:
-        """End starts that the best one of any model has left behind."""
+        """Let starts rest whose model the best one has left behind."""
         search = self._search
-        if math.isinf(search.reach):
+        if search.options.hopeless is None:
             return
         reached = search.cost - PROMISED * search.gradient.clamp_max(1e6).square()
-        search.finished |= (reached > search.cost.min() + search.reach) & ~search.bluntly
+        search.finished |= (reached > search.cost.min() + search.options.hopeless) & ~search.bluntly
 
-    def _behind(self, chain: Tensor, reach: float) -> bool:
-        """Whether a chain is behind the best of any model by more than so many nats."""
-        return bool(self._search.cost[chain] > self._search.cost.min() + reach)
+    def _behind(self, chain: Tensor, times: float) -> bool:
+        """Whether the best has left a chain behind by more than so many times ``hopeless``."""
+        return self._search.options.hopeless is not None and bool(
+            self._search.cost[chain] > self._search.cost.min() + times * self._search.options.hopeless
+        )
 
     def _several(self, rows: Tensor) -> bool:
         """Whether a racing model was given starts for several minima: that two of them agree says little of the others."""
@@ -83,7 +83,6 @@ class Race:
     def _restart(self) -> None:
         """Send starts out that were held back; where starts disagree, search again near the best point, then nearer."""
         search = self._search
-        hopeless = math.inf if search.options.hopeless is None else search.options.hopeless
         for model in range(len(search.belief.models)):
             rows = torch.nonzero(search.model == model)[:, 0]
             rows = rows[torch.argsort(search.cost[rows])]
@@ -92,13 +91,13 @@ class Race:
             if len(rows) - len(apart) >= 2 and not (len(fresh) and self._several(rows)):
                 continue
             near = search.finished[rows] | (search.gradient[rows] < NEAR)
-            lags = self._behind(rows[0], _RESERVE * hopeless) and not (self._several(rows) and self._promising(rows[0]))
+            lags = self._behind(rows[0], _RESERVE) and not (self._several(rows) and self._promising(rows[0]))
             if len(fresh) and bool(near.all()) and not lags:
                 search.finished[fresh] = False
                 continue
             if not bool(search.finished[rows].all()):
                 continue
-            if self._restarts[model] == len(_AWAY) or self._behind(rows[0], search.reach):
+            if self._restarts[model] == len(_AWAY) or self._behind(rows[0], 1.0):
                 continue
             away = _AWAY[self._restarts[model]]
             self._restarts[model] += 1
@@ -119,8 +118,9 @@ class Race:
         search = self._search
         every = (torch.nonzero(search.model == model)[:, 0] for model in range(len(search.belief.models)))
         ranked = [rows[torch.argsort(search.cost[rows])][:2] for rows in every]
-        far = search.cost.min() + min(search.reach, _FAR_BEHIND)
-        ranked = [rows for rows in ranked if bool(torch.isfinite(search.cost[rows[0]]) & (search.cost[rows[0]] <= far))]
+        hopeless = search.options.hopeless
+        far = search.cost.min() + (_FAR_BEHIND if hopeless is None else min(hopeless, _FAR_BEHIND))
+        ranked = [rows for rows in ranked if bool(torch.isfinite(search.cost[rows[0]]) & (search.cost[rows[0]] < far))]
         if not ranked:
             return False
         best = torch.stack([rows[0] for rows in ranked])

@@ -77,13 +77,6 @@ class Search:
         self.equations: list[NormalEquations | None] = [None] * chains
         self.around: dict[int, tuple[Tensor, Tensor]] = {}  # chain -> anomalies and predictions about where it stands
 
-    @property
-    def reach(self) -> float:
-        """Nats by which a chain may lag behind the best of any model and still go on."""
-        if self.options.best_only:
-            return 0.0
-        return math.inf if self.options.hopeless is None else self.options.hopeless
-
     def _predict_led(self, chains: Tensor, gel: Tensor, nuisances: Tensor) -> Tensor:
         """Predictions ``C x N x E x T`` of ``N`` points of each chain, behind its leader or, where it has none, each alone."""
         led = self.led[chains]
@@ -258,7 +251,8 @@ class Search:
 
         Those of a model that the best has left behind stay where they are.
         """
-        crawling = ~self.finished & ~self.bluntly & (self.gradient > polish.NEAR) & (self.cost <= self.cost.min() + self.reach)
+        reach = math.inf if self.options.hopeless is None else self.options.hopeless
+        crawling = ~self.finished & ~self.bluntly & (self.gradient > polish.NEAR) & (self.cost < self.cost.min() + reach)
         each = (torch.nonzero(crawling & (self.model == model))[:, 0] for model in range(len(self.belief.models)))
         chains = torch.cat([rows[torch.argsort(self.cost[rows])][:2] for rows in each])
         if chains.numel():

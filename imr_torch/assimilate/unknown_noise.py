@@ -1,9 +1,8 @@
 """Fits to measured curves, whose noise is not known before: it is estimated from the residuals.
 
-First the models are fitted with the law as given, until it is clear which one is best; then that one alone, with what its
-residuals say of the noise; then all of them with what its new residuals say. A model that misses the data so pays with wider
-intervals instead of false precision. Of fits that are not the last only the residuals matter, so they end within a tenth of a
-nat of a minimum.
+First the fits are made with the law as given, then again with what the residuals of the best model say, so that a model that
+misses the data pays with wider intervals instead of false precision. Of fits that are not the last only the residuals matter,
+so they end within a tenth of a nat of a minimum.
 """
 
 from dataclasses import replace
@@ -62,33 +61,20 @@ def assimilate_estimating_noise(
             "correlated); leave these frames out of all repeats, or give the noise."
         )
     law, options = batch.noise, options or EnsembleOptions()
-    coarse = replace(
-        options, gradient=max(_GRADIENT, options.gradient), agreement=max(_AGREEMENT, options.agreement), best_only=True
-    )
+    coarse = replace(options, gradient=max(_GRADIENT, options.gradient), agreement=max(_AGREEMENT, options.agreement))
 
-    def fit(belief: Belief, batch: ExperimentBatch, number: int, near: Assimilation | None) -> Assimilation:
+    def fit(batch: ExperimentBatch, number: int, near: Assimilation | None) -> Assimilation:
         own, last = child(seed, "round", number) if number else seed, number == rounds
         how, warned = options if last else coarse, warn and last
         return assimilate(belief, batch, simulator, seed=own, options=how, near=near, warn=warned, progress=progress)
 
-    result = latest = fit(belief, batch, 0, None)
+    result = fit(batch, 0, None)
     for number in range(1, rounds + 1):
-        batch = ExperimentBatch(batch.experiments, noise_of_residuals(latest, law))
+        batch = ExperimentBatch(batch.experiments, noise_of_residuals(result, law))
         if progress:
             progress(f"noise {batch.noise}")
-        if number < rounds:
-            near = _best_alone(latest)
-            latest = fit(near.prior, batch, number, near)
-        else:
-            known = {found.model: found for found in (*result.fits, *latest.fits)}
-            result = fit(belief, batch, number, replace(result, fits=tuple(known[key] for key in belief.keys)))
+        result = fit(batch, number, result)
     return result
-
-
-def _best_alone(result: Assimilation) -> Assimilation:
-    """The model of lowest cost and its fit."""
-    best = min(result.fits, key=lambda fit: fit.cost)
-    return Assimilation(Belief((best.prior,), torch.zeros(1, dtype=torch.float64)), result.batch, (best,))
 
 
 def noise_of_residuals(result: Assimilation, law: Noise) -> Noise:
