@@ -44,7 +44,8 @@ def test_that_draws_of_a_curved_posterior_agree_with_quadrature_where_the_gaussi
     pytest.importorskip("pyro", reason="needs the extra nuts")
     simulator, batch = CurvedSimulator(1.5), experiments(1)
     fit = fitted(batch, simulator).fits[0]
-    draws, truth = nuts(fit, batch, simulator, seed=0, draws=80), quadrature(fit, batch, simulator)
+    draws, truth = nuts(fit, batch, simulator, seed=0, draws=200), quadrature(fit, batch, simulator)
+    assert draws.converged
     sds = truth.covariance.diagonal().sqrt()
     assert float(((draws.mean - truth.mean) / sds).abs().max()) < 0.1
     assert float(((fit.mean - truth.mean) / sds).abs().max()) > 0.2
