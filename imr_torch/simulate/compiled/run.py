@@ -18,7 +18,7 @@ from imr_torch.elementary import has_compiled_form
 from imr_torch.material import LIBRARY, PARAMETERS, TERMS, StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
-from imr_torch.simulate.compiled import polytropic, transport
+from imr_torch.simulate.compiled import polytropic, step
 from imr_torch.simulate.compiled.build import Registry, announced, engine
 from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.driving import DRIVING_LAWS, LawDriving
@@ -81,7 +81,7 @@ def solve_transport(
         threads: that share the bubbles; all cores if None.
     """
     grids = resolution.grids()
-    arrays = partial(transport.work_for, len(grids[0]), len(grids[1]))
+    arrays = partial(step.work_for, len(grids[0]), len(grids[1]))
     return _solve("solve_transport", bubbles, terms, times, width, (_space(grids), *limits), arrays, threads)
 
 
@@ -205,7 +205,7 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 
 def _space(grids: tuple[Any, Any]) -> tuple[np.ndarray, ...]:
-    """Grids as :class:`imr_torch.simulate.compiled.transport.Space` has them."""
+    """Grids as :class:`imr_torch.simulate.compiled.step.Space` has them."""
     inside, outside = grids
 
     def columns(*rows: Tensor) -> np.ndarray:
