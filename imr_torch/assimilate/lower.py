@@ -1,43 +1,77 @@
 """Fits that are made again because draws of their posterior came upon a lower minimum.
 
 Starts that agree say that a minimum was found twice, not that there is no other: where frames lie next to a collapse, the
-nuisances of one experiment may have a second valley that no scout fell into. Draws of the posterior, whose nuisances are placed
-anew for each gel, do. A draw that is more probable than the optimum is by the fit's own Gaussian tells of such a valley.
+nuisances of one experiment may have a second minimum that no scout came near. Draws of the posterior, whose nuisances are
+placed anew for each gel, do. The weights of draws only suggest it, since they hang on a few draws of the nuisances; what counts
+is the cost of the most probable draws, at the nuisances that suit each best.
 """
 
 import math
 from collections.abc import Sequence
 
 import torch
+from torch import Tensor
 
+from imr_torch.assimilate.conditional import conditional_nuisances
+from imr_torch.assimilate.cost import joint_cost, uncertain
 from imr_torch.assimilate.en4dvar import assimilate
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.options import EnsembleOptions
 from imr_torch.assimilate.starts import around
 from imr_torch.material import Belief
-from imr_torch.observe import ExperimentBatch
+from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 _MORE = 1.0  # nats by which a draw must be more probable than the optimum; the integral over nuisances is off by some tenths
-_LOWER = 0.1  # nats by which a minimum must be lower to be another
+_LOWER = 0.1  # nats by which a point or minimum must be lower to belong to another
+_LIKELIEST, _STEPS = 4, 3  # draws that are looked at, and Gauss-Newton steps of their nuisances
 _AWAY = 3.0  # posterior standard deviations between the draw and the second start
 _OPTIONS = EnsembleOptions(starts=2)
 
+Point = tuple[Tensor, Tensor]
+"""Controls ``d`` and nuisances ``E x 3``."""
 
-def has_a_better_draw(fit: ModelFit, best: float) -> bool:
-    """Whether a draw is more probable than the optimum, of a model that is not far behind ``best``, the cost of another."""
-    return not fit.out_of_the_running(best) and _excess(fit) > _MORE
+
+def lower_point(fit: ModelFit, best: float, batch: ExperimentBatch, simulator: Simulator) -> Point | None:
+    """The lowest of the most probable draws if its cost is below the fit's own minimum.
+
+    Args:
+        fit: a model with its draws.
+        best: the lowest cost of all models, nats; a model that is far behind is not looked at.
+        batch: the data.
+        simulator: the simulator it was made with; asked only where the weights suggest another minimum.
+    """
+    assert fit.sample is not None
+    if fit.out_of_the_running(best) or _excess(fit) <= _MORE:
+        return None
+    likeliest = fit.sample.log_target.argsort(descending=True)[:_LIKELIEST]
+    controls, nuisances = fit.sample.controls[likeliest], fit.sample.nuisances[likeliest]
+    gels, chol = fit.parameters(controls), fit.nuisance_chol.expand(len(likeliest), -1, -1, -1)
+    if len(uncertain(batch)):
+        for _ in range(_STEPS):
+            nuisances, chol = conditional_nuisances(gels, nuisances, chol, batch, simulator)
+    prediction = torch.where(batch.mask, predict(simulator, gels, batch, nuisances * batch.nuisance_sds), 0.0)
+    cost = joint_cost(batch, controls, nuisances, prediction)
+    lowest = int(cost.argmin())
+    return (controls[lowest], nuisances[lowest]) if float(cost[lowest]) < fit.cost - _LOWER else None
 
 
 def lower_minima(
-    fits: Sequence[ModelFit], batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None = None
+    fits: Sequence[ModelFit],
+    points: Sequence[Point],
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+    progress: Progress | None = None,
 ) -> dict[str, ModelFit]:
-    """Fit models again from their most probable draws.
+    """Fit models again from points below their minima.
 
     Args:
-        fits: models with their draws, at least one; not changed.
+        fits: the models, at least one; not changed.
+        points: of each, see :func:`lower_point`.
         batch: the data.
         simulator: the simulator they were made with.
         seed: of the second starts.
@@ -47,12 +81,10 @@ def lower_minima(
         Model -> fit, those whose new minimum is lower, without draws.
     """
     starts, nuisances = [], []
-    for fit in fits:
-        assert fit.sample is not None
-        draw = int(fit.sample.log_target.argmax())
+    for fit, (controls, own) in zip(fits, points, strict=True):
         second = around(fit.chol, generator(child(seed, "lower", fit.model)), _AWAY)
-        starts.append(fit.sample.controls[draw] + torch.stack((torch.zeros_like(second), second)))
-        nuisances.append(fit.sample.nuisances[draw])
+        starts.append(controls + torch.stack((torch.zeros_like(second), second)))
+        nuisances.append(own)
     belief = Belief(tuple(fit.prior for fit in fits), torch.zeros(len(fits), dtype=torch.float64))
     found = assimilate(
         belief,

@@ -21,7 +21,7 @@ from torch import Tensor
 from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.importance import ImportanceSample, smooth
-from imr_torch.assimilate.lower import has_a_better_draw, lower_minima
+from imr_torch.assimilate.lower import lower_minima, lower_point
 from imr_torch.assimilate.proposals import Kernels, mixture_log_prob, student_draws, student_log_prob
 from imr_torch.assimilate.ridge import trace_ridge
 from imr_torch.errors import ConvergenceError, InputDataError
@@ -162,11 +162,14 @@ def _fit_again(
 ) -> None:
     """Take lower minima that the last round's draws of some of the courses came upon in place of their fits."""
     best = min(course.fit.cost for course in courses)
-    doubtful = [course for course in drawn if course.refits < _REFITS and has_a_better_draw(course.fit, best)]
+    possible = [course for course in drawn if course.refits < _REFITS]
+    points = [lower_point(course.fit, best, batch, simulator) for course in possible]
+    doubtful = [(course, point) for course, point in zip(possible, points, strict=True) if point is not None]
     if not doubtful:
         return
-    lower = lower_minima([course.fit for course in doubtful], batch, simulator, seed=seed, progress=progress)
-    for course in doubtful:
+    fits = [course.fit for course, _ in doubtful]
+    lower = lower_minima(fits, [point for _, point in doubtful], batch, simulator, seed=seed, progress=progress)
+    for course, _ in doubtful:
         course.refits += 1
         if course.fit.model in lower:
             course.fit, course.proposals, course.parts = lower[course.fit.model], [], []
