@@ -21,6 +21,7 @@ from imr_torch.simulate import (
     sensitivities,
 )
 from imr_torch.simulate.engines import ENGINES
+from imr_torch.simulate.simulator import solve_bundles
 
 TIMES = torch.linspace(0.0, 1.6, 33, dtype=torch.float64)
 NAMES = ("G", "mu", "alpha", *DESIGN)
@@ -115,6 +116,22 @@ def test_that_they_do_not_depend_on_neighbours_blocks_or_the_other_columns(engin
     for i in (0, 6):
         _, alone = sensitivities(simulator, parameters[i], designs[i], TIMES, names=("rest_radius", "G"))
         assert relative(together[i][:, [2, 0]], alone) < 1e-5
+
+
+@pytest.mark.parametrize(("size", "blocks"), [(9, [8, 8, 4]), (4, [4] * 5), (3, [4] * 5), (100, [20])])
+def test_that_a_block_holds_whole_bundles_and_no_more_members_than_it_may(size: int, blocks: list[int]) -> None:
+    parameters, designs = gels(5)
+    seen = []
+
+    def solve(parameters: Tensor, designs: Tensor, times: Tensor, width: int) -> tuple[Tensor, ...]:
+        seen.append(len(parameters))
+        assert width == 4
+        status = torch.zeros(len(parameters), dtype=torch.long)
+        return times, times, times, status, status
+
+    bundles = parameters[:, None].expand(-1, 4, -1), designs[:, None], TIMES
+    assert solve_bundles(solve, size, bundles).radius.shape == (5, 4, len(TIMES))
+    assert seen == blocks
 
 
 def test_that_members_of_a_bundle_differ_smoothly_and_separate_solves_do_not() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.polynomial import legendre
+from scipy.interpolate import CubicHermiteSpline
 
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.material import PARAMETERS, reference_case
@@ -28,6 +29,7 @@ from imr_torch.simulate.controller import Controller
 from imr_torch.simulate.engines import ENGINES
 from imr_torch.simulate.rhs import HEAD, Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step
+from imr_torch.simulate.transport import _cubic
 
 TIMES = torch.linspace(0.0, 2.5, 51, dtype=torch.float64)
 GEL = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48})
@@ -196,6 +198,25 @@ def test_a_wide_box_of_gels_and_designs_is_solved():
     solution = TransportSimulator(accuracy=ACCURACIES["fast"])(parameters, box[:, :2], TIMES)
     assert solution.ok.all(), solution.summary()
     assert torch.isfinite(solution.radius).all()
+
+
+@pytest.mark.parametrize(("radius", "accepted"), [(1e-3, True), (0.0, False), (-1e-3, False)])
+def test_that_a_step_ends_at_any_size_short_of_the_centre(radius, accepted):
+    equations = Equations(Bubbles.of(GEL[None], DESIGN[None], Conditions()), *Resolution(6, 6).grids())
+    before = equations.start()
+    after = before.clone()
+    after[0] = radius
+    error = Controller(1e-5).error(before, after, torch.zeros_like(before), equations)
+    assert bool(error <= 1.0) == accepted
+
+
+def test_that_values_between_steps_are_a_cubic_and_before_the_first_a_line():
+    nodes = torch.tensor([[0.0, 0.3, 0.5, 1.2]], dtype=torch.float64)
+    values, rates = torch.sin(3.0 * nodes) + 1.0, 3.0 * torch.cos(3.0 * nodes)
+    times = torch.tensor([[-0.2, 0.0, 0.1, 0.29, 0.4, 0.6, 1.1, 1.2]], dtype=torch.float64)
+    expected = torch.as_tensor(CubicHermiteSpline(*(x[0].numpy() for x in (nodes, values, rates)))(times.numpy()))
+    expected[0, 0] = 1.0 - 0.2 * 3.0
+    torch.testing.assert_close(_cubic(nodes, values, rates, times), expected, rtol=0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize(
