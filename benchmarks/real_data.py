@@ -20,7 +20,7 @@ import matplotlib.pyplot as plt
 import torch
 
 from imr_torch import characterize, load_traces
-from imr_torch.assimilate import EnsembleOptions, ModelFit, Verdict
+from imr_torch.assimilate import ModelFit, SearchOptions, Verdict
 from imr_torch.characterize import Characterization, predictive_band, prepare
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.observe import NUISANCES, TraceSet, collapse_time, find_landmarks
@@ -30,7 +30,7 @@ from imr_torch.simulate import Conditions, PolytropicSimulator, Simulator, Solut
 REST = (0.2, 0.08)
 SEED = 0
 SIMULATORS = {"full": TransportSimulator, "polytropic": PolytropicSimulator}
-_HOPELESS = 50.0  # nats by which a model must be behind to be left there
+_DROP_BEHIND = 50.0  # nats by which a model must be behind to be left there
 _LARGE_RMSE, _LARGE_NOISE, _FAR, _ODD = 0.03, 2.0, 2.5, 2.0
 _ONE_GEL = 0.2  # relative scatter of the first collapse times above which curves are unlikely to be of one gel
 
@@ -76,7 +76,7 @@ class Task:
     curves: int
     scores: bool
     figures: Path
-    options: EnsembleOptions = field(default_factory=EnsembleOptions)
+    options: SearchOptions = field(default_factory=SearchOptions)
 
     def __call__(self, simulator: Simulator) -> dict[str, Any]:
         """The row of this gel, JSON-ready."""
@@ -299,7 +299,7 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)
     path = args.out / f"rows-{args.physics}-{args.curves}{'-scores' if args.scores else ''}.jsonl"
-    options = EnsembleOptions(starts=args.starts, scouts=args.scouts, hopeless=_HOPELESS)
+    options = SearchOptions(starts=args.starts, scouts=args.scouts, drop_behind=_DROP_BEHIND)
     tasks = {f.stem: Task(f, args.curves, args.scores, args.out, options) for f in chosen_files(args.folder, args.sets)}
     rows = run_missing(tasks, path, SIMULATORS[args.physics](threads=1), line=_line)
     print("\n" + table(rows))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, EnsembleOptions, assimilate_estimating_noise, weigh
+from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, SearchOptions, assimilate_estimating_noise, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, ModelBelief, wide_prior
 from imr_torch.observe import (
@@ -174,7 +174,7 @@ def characterize(
     estimate_noise: bool = True,
     collapses: int = 2,
     rest_radius: tuple[float, float] | None = None,
-    options: EnsembleOptions | None = None,
+    options: SearchOptions | None = None,
     scores: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
@@ -215,8 +215,8 @@ def characterize(
         options=options,
         progress=progress,
     )
-    hopeless = options.hopeless if options and options.hopeless is not None else _IMPROBABLE
-    result = weigh(result, simulator, seed=child(seed, "weigh"), hopeless=hopeless, progress=progress)
+    drop_behind = options.drop_behind if options and options.drop_behind is not None else _IMPROBABLE
+    result = weigh(result, simulator, seed=child(seed, "weigh"), drop_behind=drop_behind, progress=progress)
     evidence = evidences(result)
     posterior = update(result, evidence)
     found: tuple[PredictiveScore, ...] = ()

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import savemat
 
-from imr_torch.assimilate import EnsembleOptions
+from imr_torch.assimilate import SearchOptions
 from imr_torch.characterize import characterize, predictive_band
 from imr_torch.errors import InputDataError
 from imr_torch.material import wide_prior
@@ -73,7 +73,7 @@ except InputDataError as error:
 
 # %%
 prior = wide_prior(["nhkv"] if SMOKE else ["nhkv", "gen_qkv"])
-options = EnsembleOptions(members=8, scouts=32, starts=2) if SMOKE else None
+options = SearchOptions(scouts=32, starts=2) if SMOKE else None
 chosen = traces.select(["shot_1"]) if SMOKE else traces
 result = characterize(chosen, prior=prior, estimate_noise=not SMOKE, options=options)
 print(result.report())

@@ -8,7 +8,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from imr_torch.assimilate import EnsembleOptions
+from imr_torch.assimilate import SearchOptions
 from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Optimal
 from imr_torch.design import Estimator, Plan
 from imr_torch.material import PARAMETERS, reference_case
@@ -40,7 +40,7 @@ simulator = PolytropicSimulator()
 laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=100)
 settings = CampaignSettings(plan=Plan(repeats=100))
 if SMOKE:
-    small = EnsembleOptions(members=8, scouts=32, starts=2)
+    small = SearchOptions(scouts=32, starts=2)
     settings = CampaignSettings(
         plan=Plan(repeats=100),
         policy=Optimal(Estimator(draws=4), evaluations=4, initial=3),

@@ -10,7 +10,7 @@ import os
 import torch
 from scipy.integrate import quad
 
-from imr_torch.assimilate import EnsembleOptions, assimilate, weigh
+from imr_torch.assimilate import SearchOptions, assimilate, weigh
 from imr_torch.elementary import Scalar
 from imr_torch.material import (
     PARAMETERS,
@@ -175,7 +175,7 @@ quick = PolytropicSimulator()
 laboratory = SimulatedLaboratory(quick, gels[1], repeats=100)
 batch = ExperimentBatch((laboratory.shoot(design, seed=1),), laboratory.noise)
 prior = wide_prior(["nhkv", "mooney"])
-options = EnsembleOptions(members=8, scouts=32, starts=2) if SMOKE else None
+options = SearchOptions(scouts=32, starts=2) if SMOKE else None
 result = weigh(assimilate(prior, batch, quick, seed=2, options=options), quick, seed=3)
 posterior = update(result, evidences(result))
 print({key: round(value, 4) for key, value in posterior.probabilities.items()})

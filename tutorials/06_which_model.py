@@ -8,7 +8,7 @@ import os
 
 import torch
 
-from imr_torch.assimilate import EnsembleOptions, assimilate, weigh
+from imr_torch.assimilate import SearchOptions, assimilate, weigh
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
 from imr_torch.select import cross_validate, evidences, probability_errors, sum_over_folds, update
@@ -36,7 +36,7 @@ batch = ExperimentBatch(tuple(laboratory.shoot(design, seed=i) for i, design in 
 
 # %%
 prior = wide_prior(("newtonian", "nhkv", "gen_qkv"))
-options = EnsembleOptions(scouts=24, starts=2) if SMOKE else EnsembleOptions()
+options = SearchOptions(scouts=24, starts=2) if SMOKE else SearchOptions()
 fits = weigh(assimilate(prior, batch, simulator, seed=0, options=options), simulator, seed=0, samples=64 if SMOKE else 256)
 for fit in fits.fits:
     print(f"{fit.prior.material.title}: RMSE {fits.rmse(fit.model):.4f} in R*\n  {fit.certificate}\n  {fit.trust}")

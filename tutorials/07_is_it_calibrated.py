@@ -12,7 +12,7 @@ from pathlib import Path
 
 import torch
 
-from imr_torch.assimilate import EnsembleOptions
+from imr_torch.assimilate import SearchOptions
 from imr_torch.calibration import Arrangement, calibrate, coverage, reliability, uniformity
 from imr_torch.design import Plan
 from imr_torch.material import reference_case
@@ -30,7 +30,7 @@ OUT.mkdir(parents=True, exist_ok=True)
 
 # %%
 plan = Plan(times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64), repeats=5)
-options = EnsembleOptions(scouts=24, starts=2) if SMOKE else EnsembleOptions()
+options = SearchOptions(scouts=24, starts=2) if SMOKE else SearchOptions()
 mine = Arrangement(reference_case("soft-pa").prior, (400.0, 0.22), plan, samples=64 if SMOKE else 256, options=options)
 count = 12 if SMOKE else 100
 replicates = list(calibrate(mine, PolytropicSimulator(), range(count), seed=0))

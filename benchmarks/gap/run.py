@@ -13,7 +13,7 @@ from benchmarks.gap.identity import compare_designs
 from benchmarks.gap.sets import GEL, SyntheticSet, Task, make_set
 from benchmarks.gap.signals import signal_by_phase
 from benchmarks.gap.table import families
-from imr_torch.assimilate import EnsembleOptions
+from imr_torch.assimilate import SearchOptions
 from imr_torch.gap import LIBRARY, GapReport, diagnose, to_json
 from imr_torch.gap.attribute import ADEQUATE, adequacy_test
 from imr_torch.gap.diagnose import impatient
@@ -47,7 +47,7 @@ class Extras:
 
 def thresholds() -> dict[str, str]:
     """Every constant of the modules that decide, by module and name."""
-    found = {"assimilate.EnsembleOptions": repr(EnsembleOptions())}
+    found = {"assimilate.SearchOptions": repr(SearchOptions())}
     for name in _DECIDING:
         module = importlib.import_module(f"imr_torch.gap.{name}")
         for key, value in vars(module).items():

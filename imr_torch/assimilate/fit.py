@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate.importance import ImportanceSample
+from imr_torch.assimilate.posterior import Point
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import ExperimentBatch
 
@@ -107,6 +108,11 @@ class ModelFit:
         return self.cost - PROMISED * self.certificate.gradient**2 > best + _FAR_OUT
 
     @property
+    def point(self) -> Point:
+        """The optimum."""
+        return Point(self.mean, self.nuisances)
+
+    @property
     def model(self) -> str:
         """Key of the constitutive model."""
         return self.prior.model
@@ -127,13 +133,14 @@ class ModelFit:
         if sample.precisions is None:
             return belief
         chosen, unscale = sample.spaced(_CLOUD), torch.linalg.inv(self.prior.chol)
-        controls = self.prior.mean + sample.controls[chosen] @ self.prior.chol.mT
-        return belief.with_cloud(controls, unscale.mT @ sample.precisions[chosen] @ unscale)
+        return belief.with_cloud(
+            self.prior.unwhitened(sample.controls[chosen]), unscale.mT @ sample.precisions[chosen] @ unscale
+        )
 
     def _believed(self, mean: Tensor, covariance: Tensor) -> ModelBelief:
         """The prior with a Gaussian of ``v``."""
         covariance = self.prior.chol @ covariance @ self.prior.chol.mT
-        return self.prior.with_gaussian(self.prior.mean + self.prior.chol @ mean, torch.linalg.cholesky(covariance))
+        return self.prior.with_gaussian(self.prior.unwhitened(mean), torch.linalg.cholesky(covariance))
 
     @property
     def verdict(self) -> Verdict:
@@ -171,7 +178,7 @@ class ModelFit:
 
     def parameters(self, controls: Tensor) -> Tensor:
         """Shared parameter vectors at controls ``v``: ``... x d`` to ``... x p``, SI."""
-        return self.prior.parameters(self.prior.mean + controls @ self.prior.chol.mT)
+        return self.prior.to_si(controls)
 
 
 @dataclass(frozen=True)

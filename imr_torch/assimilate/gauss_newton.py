@@ -5,7 +5,7 @@ standard normal priors. The normal matrix is an arrow: nuisances of different ex
 they are eliminated one experiment at a time (Schur complement), and any number of experiments costs the same per piece.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import torch
@@ -48,6 +48,15 @@ class NormalEquations:
     gel_hessian: Tensor
     nuisance_hessian: Tensor
     cross: Tensor
+
+    def __getitem__(self, rows: int | Tensor) -> "NormalEquations":
+        """Those of some of the points."""
+        return NormalEquations(*(getattr(self, block.name)[rows] for block in fields(self)))
+
+    def where(self, condition: Tensor, others: "NormalEquations") -> "NormalEquations":
+        """These where the condition (``C`` booleans) holds, else the others."""
+        pairs = ((getattr(self, block.name), getattr(others, block.name)) for block in fields(self))
+        return NormalEquations(*(torch.where(condition.view(-1, *[1] * (one.ndim - 1)), one, two) for one, two in pairs))
 
     @cached_property
     def reduced(self) -> Reduced:

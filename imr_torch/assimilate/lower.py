@@ -10,16 +10,15 @@ import math
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor
 
 from imr_torch.assimilate.conditional import conditional_nuisances
-from imr_torch.assimilate.cost import joint_cost, uncertain
-from imr_torch.assimilate.en4dvar import assimilate
 from imr_torch.assimilate.fit import ModelFit
-from imr_torch.assimilate.options import EnsembleOptions
+from imr_torch.assimilate.map_fit import assimilate
+from imr_torch.assimilate.options import SearchOptions
+from imr_torch.assimilate.posterior import Point, Posterior
 from imr_torch.assimilate.starts import around
 from imr_torch.material import Belief
-from imr_torch.observe import ExperimentBatch, predict
+from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
@@ -28,10 +27,7 @@ _MORE = 1.0  # nats by which a draw must be more probable than the optimum; the 
 _LOWER = 0.1  # nats by which a point or minimum must be lower to belong to another
 _LIKELIEST, _STEPS = 4, 3  # draws that are looked at, and Gauss-Newton steps of their nuisances
 _AWAY = 3.0  # posterior standard deviations between the draw and the second start
-_OPTIONS = EnsembleOptions(starts=2)
-
-Point = tuple[Tensor, Tensor]
-"""Controls ``d`` and nuisances ``E x 3``."""
+_OPTIONS = SearchOptions(starts=2)
 
 
 def lower_point(fit: ModelFit, best: float, batch: ExperimentBatch, simulator: Simulator) -> Point | None:
@@ -47,15 +43,17 @@ def lower_point(fit: ModelFit, best: float, batch: ExperimentBatch, simulator: S
     if fit.out_of_the_running(best) or _excess(fit) <= _MORE:
         return None
     likeliest = fit.sample.log_target.argsort(descending=True)[:_LIKELIEST]
-    controls, nuisances = fit.sample.controls[likeliest], fit.sample.nuisances[likeliest]
-    gels, chol = fit.parameters(controls), fit.nuisance_chol.expand(len(likeliest), -1, -1, -1)
-    if len(uncertain(batch)):
+    posterior, point = (
+        Posterior(fit.prior, batch, simulator),
+        Point(fit.sample.controls[likeliest], fit.sample.nuisances[likeliest]),
+    )
+    chol = fit.nuisance_chol.expand(len(likeliest), -1, -1, -1)
+    if len(posterior.uncertain):
         for _ in range(_STEPS):
-            nuisances, chol = conditional_nuisances(gels, nuisances, chol, batch, simulator)
-    prediction = torch.where(batch.mask, predict(simulator, gels, batch, nuisances * batch.nuisance_sds), 0.0)
-    cost = joint_cost(batch, controls, nuisances, prediction)
-    lowest = int(cost.argmin())
-    return (controls[lowest], nuisances[lowest]) if float(cost[lowest]) < fit.cost - _LOWER else None
+            nuisances, chol = conditional_nuisances(posterior, point, chol)
+            point = Point(point.gel, nuisances)
+    highest = posterior.log_joint(point).max(0)
+    return point[highest.indices] if -float(highest.values) < fit.cost - _LOWER else None
 
 
 def lower_minima(
@@ -81,10 +79,10 @@ def lower_minima(
         Model -> fit, those whose new minimum is lower, without draws.
     """
     starts, nuisances = [], []
-    for fit, (controls, own) in zip(fits, points, strict=True):
+    for fit, point in zip(fits, points, strict=True):
         second = around(fit.chol, generator(child(seed, "lower", fit.model)), _AWAY)
-        starts.append(controls + torch.stack((torch.zeros_like(second), second)))
-        nuisances.append(own)
+        starts.append(point.gel + torch.stack((torch.zeros_like(second), second)))
+        nuisances.append(point.nuisances)
     belief = Belief(tuple(fit.prior for fit in fits), torch.zeros(len(fits), dtype=torch.float64))
     found = assimilate(
         belief,

@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
+from imr_torch.assimilate.posterior import Point, Posterior
 from imr_torch.errors import ConvergenceError, InputDataError, UnsupportedError
-from imr_torch.observe import ExperimentBatch, predict
+from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 
@@ -102,66 +103,59 @@ def nuts(
         from pyro.infer import MCMC, NUTS
     except ImportError:
         raise UnsupportedError("nuts needs Pyro; install it with: pip install 'imr-torch[nuts]'.") from None
-    posterior = _Posterior(fit, batch, simulator)
-    start = posterior.start(chains, child(seed, "nuts"))
+    coordinates = _Coordinates(fit, batch, simulator)
+    start = coordinates.start(chains, child(seed, "nuts"))
     with torch.random.fork_rng(devices=[]):  # Pyro draws from the global generator
         torch.manual_seed(child(seed, "nuts", "moves"))
-        kernel = NUTS(potential_fn=posterior.potential, adapt_mass_matrix=False, max_tree_depth=_DEEPEST)
+        kernel = NUTS(potential_fn=coordinates.potential, adapt_mass_matrix=False, max_tree_depth=_DEEPEST)
         run = MCMC(kernel, draws, warmup_steps=warmup, initial_params={"u": start}, disable_progbar=True)
         run.run()
     u = run.get_samples()["u"].movedim(0, 1)
-    controls, nuisances = posterior.place(u)
+    point = coordinates.place(u)
     with torch.no_grad():
-        cost = posterior.cost(controls, nuisances)
-    return NutsDraws(controls, nuisances, cost, len(run.diagnostics()["divergences"]["chain 0"]))
+        cost = coordinates.cost(u)
+    return NutsDraws(point.gel, point.nuisances, cost, len(run.diagnostics()["divergences"]["chain 0"]))
 
 
-class _Posterior:
-    """The posterior of one fit in coordinates ``u`` in which the fit's Gaussian is a standard normal."""
+class _Coordinates:
+    """The posterior in coordinates ``u`` in which the Gaussian of its fit is a standard normal."""
 
     def __init__(self, fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> None:
-        self.fit, self.batch, self.simulator = fit, batch, simulator
+        self.fit, self.posterior = fit, Posterior(fit.prior, batch, simulator)
         self.uncertain = batch.nuisance_sds > 0.0  # E x 3; the others stay at rest
         self.size = len(fit.mean) + int(self.uncertain.sum())
 
-    def place(self, u: Tensor) -> tuple[Tensor, Tensor]:
-        """Controls (``... x d``) and nuisances (``... x E x 3``) at ``... x size`` coordinates."""
+    def place(self, u: Tensor) -> Point:
+        """Points at ``... x size`` coordinates."""
         d = len(self.fit.mean)
-        controls = self.fit.mean + u[..., :d] @ self.fit.chol.mT
+        gel = self.fit.mean + u[..., :d] @ self.fit.chol.mT
         noise = torch.zeros(*u.shape[:-1], *self.uncertain.shape, dtype=u.dtype)
         noise[..., self.uncertain] = u[..., d:]
-        nuisances = self.fit.nuisances_at(controls) + self.fit.nuisance_noise(noise)
-        return controls, torch.where(self.uncertain, nuisances, 0.0)
+        nuisances = self.fit.nuisances_at(gel) + self.fit.nuisance_noise(noise)
+        return Point(gel, torch.where(self.uncertain, nuisances, 0.0))
 
-    def predict(self, controls: Tensor, nuisances: Tensor) -> Tensor:
-        """Predictions ``... x E x T``; all ``...`` points in one call of the simulator."""
-        shifts = nuisances * self.batch.nuisance_sds if bool(self.uncertain.any()) else None
-        return predict(self.simulator, self.fit.parameters(controls), self.batch, shifts)
-
-    def cost(self, controls: Tensor, nuisances: Tensor) -> Tensor:
+    def cost(self, u: Tensor) -> Tensor:
         """Negative log of likelihood x prior: ``...`` tensor."""
-        prediction = torch.where(self.batch.mask, self.predict(controls, nuisances), 0.0)
-        prior = 0.5 * controls.square().sum(-1) + 0.5 * nuisances.square().sum((-2, -1))
-        return prior - self.batch.log_likelihood(prediction).sum(-1)
+        return -self.posterior.log_joint(self.place(u))
 
     @property
     def potential(self) -> Callable[[dict[str, Tensor]], Tensor]:
         """What Pyro asks for: the joint cost of all chains at ``{"u": C x size}``; infinite where a solve fails."""
-        return lambda point: self.cost(*self.place(point["u"])).sum()
+        return lambda point: self.cost(point["u"]).sum()
 
     def start(self, chains: int, seed: int) -> Tensor:
         """The first draws of the Gaussian that can be simulated: ``chains x size``."""
         noise = torch.randn(2 * chains, self.size, generator=generator(seed), dtype=torch.float64)
         with torch.no_grad():
-            usable = torch.isfinite(self.cost(*self.place(noise)))
+            usable = torch.isfinite(self.cost(noise))
         start = noise[usable][:chains]
         if len(start) < chains:
             raise ConvergenceError(
                 f"{self.fit.model}: {len(start)} of {len(noise)} draws of the fit could be simulated; {chains} are needed."
             )
-        if not self.predict(*self.place(start.clone().requires_grad_())).requires_grad:
+        if not self.posterior.predict(self.place(start.clone().requires_grad_())).requires_grad:
             raise UnsupportedError(
-                f"{type(self.simulator).__name__} gives no gradients; NUTS needs a simulator that autograd can follow, "
-                "such as PolytropicSimulator."
+                f"{type(self.posterior.simulator).__name__} gives no gradients; NUTS needs a simulator that autograd can "
+                "follow, such as PolytropicSimulator."
             )
         return start

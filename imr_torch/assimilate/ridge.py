@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.cost import equations_at, joint_cost, sides
 from imr_torch.assimilate.fit import ModelFit
+from imr_torch.assimilate.posterior import Neighbourhood, Point, Posterior
 from imr_torch.assimilate.proposals import Kernels
-from imr_torch.observe import ExperimentBatch, predict
+from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 
 _DEEP = 8.0  # nats by which the profile falls at the ends
@@ -28,26 +28,23 @@ _BENT = 1.0  # nats by which a point may lie off the straight line through the t
 _PASSES = 4  # most Gauss-Newton steps at one point
 _NEAR = 0.3  # nats that the next step may promise where a point is taken for fitted
 _LOST = 3.0  # nats of that from which a point is no part of the ridge
-_SPREAD = 1e-4  # posterior standard deviations by which members are moved
 _OVERLAP = 0.7  # scale of a kernel along the ridge over the distance of its neighbours
 _WATCH = 0.1  # share of a wide kernel about all
 
 
 @dataclass(frozen=True)
-class _Point:
+class _Fitted:
     """A point on a ridge.
 
     Args:
-        gel: ``d`` tensor.
-        nuisances: ``E x 3`` tensor.
+        point: where.
         cost: of the joint cost's optimum at this place along the ridge, nats.
         promised: nats by which the last step was to lower it, counted in ``cost`` already; infinite where a bubble failed.
         hessian: ``d x d`` tensor, of the cost, nuisances eliminated.
         nuisance_log_det: log determinant of the nuisances' own Hessian.
     """
 
-    gel: Tensor
-    nuisances: Tensor
+    point: Point
     cost: float
     promised: float
     hessian: Tensor
@@ -66,25 +63,25 @@ class _Side:
         self.fit, self._longest = fit, float(direction.norm())
         self._first, self._length = direction / self._longest, self._longest
         hessian = torch.cholesky_inverse(fit.chol)
-        self.points = [_Point(fit.mean, fit.nuisances, fit.cost, 0.0, hessian, fit.nuisance_log_det)]
+        self.points = [_Fitted(fit.point, fit.cost, 0.0, hessian, fit.nuisance_log_det)]
         self._attempts = 0
         self.ended = False
 
-    def ahead(self) -> tuple[_Point, Tensor]:
+    def ahead(self) -> tuple[_Fitted, Tensor]:
         """Where the next point is expected, and the unit vector along the ridge there (``d``)."""
         last = self.points[-1]
         if len(self.points) == 1:
             step = self._length * self._first
-            guess = replace(last, gel=last.gel + step, nuisances=last.nuisances + self.fit.nuisance_response @ step)
-            return guess, self._first
-        near = self.points[-3:]
+            guess = Point(last.point.gel + step, last.point.nuisances + self.fit.nuisance_response @ step)
+            return replace(last, point=guess), self._first
+        near = [p.point for p in self.points[-3:]]
         gels, nuisances = torch.stack([p.gel for p in near]), torch.stack([p.nuisances for p in near])
         places = torch.cat((gels.new_zeros(1), gels.diff(dim=0).norm(dim=1).cumsum(0)))
         weights = _lagrange(places, places[-1] + self._length)
-        guess = replace(last, gel=weights @ gels, nuisances=torch.tensordot(weights, nuisances, 1))
-        return guess, torch.nn.functional.normalize(guess.gel - last.gel, dim=0)
+        guess = Point(weights @ gels, torch.tensordot(weights, nuisances, 1))
+        return replace(last, point=guess), torch.nn.functional.normalize(guess.gel - last.point.gel, dim=0)
 
-    def add(self, point: _Point, least: float) -> None:
+    def add(self, point: _Fitted, least: float) -> None:
         """Take a fitted point for the next one, or try again nearer; ``least`` is the lowest cost on the whole ridge."""
         self._attempts += 1
         bent = self._bend(point)
@@ -96,11 +93,13 @@ class _Side:
             self._length *= 0.5
             self.ended = self._length < _SHORTEST * self._longest or self._attempts >= _ATTEMPTS
 
-    def _bend(self, point: _Point) -> float:
+    def _bend(self, point: _Fitted) -> float:
         """How far off the straight line on a point lies, nats."""
-        last = self.points[-1].gel
-        before = self._first if len(self.points) == 1 else torch.nn.functional.normalize(last - self.points[-2].gel, dim=0)
-        off = point.gel - last - before * (before @ (point.gel - last))
+        last, step = self.points[-1].point.gel, point.point.gel - self.points[-1].point.gel
+        before = self._first
+        if len(self.points) > 1:
+            before = torch.nn.functional.normalize(last - self.points[-2].point.gel, dim=0)
+        off = step - before * (before @ step)
         return 0.5 * float(off @ point.hessian @ off)
 
 
@@ -124,30 +123,31 @@ def trace_ridge(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> 
     Returns:
         A proposal.
     """
+    posterior = Posterior(fit.prior, batch, simulator)
     values, vectors = torch.linalg.eigh(fit.chol @ fit.chol.mT)
     axis = values[-1].sqrt() * vectors[:, -1]
     below, above = _Side(fit, -axis), _Side(fit, axis)
     while fronts := [side for side in (below, above) if not side.ended]:
         for side in fronts:
-            point = _fitted(fit, *side.ahead(), batch, simulator)
+            point = _fitted(posterior, fit.chol, *side.ahead())
             side.add(point, min(p.cost for p in (*below.points, *above.points)))
     return _kernels([*reversed(below.points), *above.points[1:]], fit)
 
 
-def _fitted(fit: ModelFit, point: _Point, along: Tensor, batch: ExperimentBatch, simulator: Simulator) -> _Point:
+def _fitted(posterior: Posterior, scale: Tensor, point: _Fitted, along: Tensor) -> _Fitted:
     """A point fitted across the ridge, as far as a few steps go."""
     for _ in range(_PASSES):
-        point = _step(fit, point, along, batch, simulator)
+        point = _stepped(point, along, posterior.neighbourhood(point.point, scale))
         if not _NEAR < point.promised < math.inf:
             break
     return point
 
 
-def _kernels(points: list[_Point], fit: ModelFit) -> Kernels:
+def _kernels(points: list[_Fitted], fit: ModelFit) -> Kernels:
     """A kernel on each point of a ridge, in order."""
     if len(points) < 3:
         return Kernels.about(fit.mean, fit.chol)
-    gels = torch.stack([p.gel for p in points])
+    gels = torch.stack([p.point.gel for p in points])
     steps = gels.diff(dim=0)
     ways = torch.nn.functional.normalize(torch.cat((steps[:1], gels[2:] - gels[:-2], steps[-1:])), dim=1)
     lengths = steps.norm(dim=1)
@@ -170,33 +170,19 @@ def _across(way: Tensor) -> Tensor:
     return torch.linalg.qr(way[:, None], mode="complete").Q[:, 1:]
 
 
-def _step(fit: ModelFit, point: _Point, along: Tensor, batch: ExperimentBatch, simulator: Simulator) -> _Point:
-    """A Gauss-Newton step across the ridge at a point, given the direction along it."""
-    anomalies, moved = _SPREAD * fit.chol.mT, sides(batch)
-    count = len(anomalies)
-    gels = point.gel.expand(1 + count + len(moved), -1).clone()
-    gels[1 : 1 + count] += anomalies
-    shifts = point.nuisances.expand(len(gels), -1, -1).clone()
-    shifts[1 + count :] += moved
-    shifts *= batch.nuisance_sds
-    prediction = predict(simulator, fit.parameters(gels), batch, shifts if len(moved) else None, bundled=True)
-    prediction = torch.where(batch.mask, prediction, 0.0)
-    if not bool(torch.isfinite(prediction).all()):
-        return replace(point, promised=math.inf)
-    return _stepped(point, along, batch, anomalies, prediction)
-
-
-def _stepped(point: _Point, along: Tensor, batch: ExperimentBatch, anomalies: Tensor, prediction: Tensor) -> _Point:
-    """A point after its step, with the cost that the step promises."""
-    equations = equations_at(batch, point.gel, point.nuisances, anomalies, prediction)
-    reduced, across = equations.reduced, _across(along)
+def _stepped(fitted: _Fitted, along: Tensor, near: Neighbourhood) -> _Fitted:
+    """A point after a Gauss-Newton step across the ridge, with the cost that the step promises, from its neighbourhood."""
+    if not bool(torch.isfinite(near.prediction).all()):
+        return replace(fitted, promised=math.inf)
+    equations, across = near.equations, _across(along)
+    reduced = equations.reduced
     gradient, hessian = across.mT @ reduced.gradient, across.mT @ reduced.hessian @ across
-    step = -torch.linalg.solve(hessian, gradient)
-    promised = -0.5 * float(gradient @ step) - 0.5 * float((equations.nuisance_gradient * reduced.nuisance_step).sum())
-    return _Point(
-        gel=point.gel + across @ step,
-        nuisances=point.nuisances + reduced.nuisance_step + reduced.nuisance_response @ (across @ step),
-        cost=float(joint_cost(batch, point.gel, point.nuisances, prediction[0])) - promised,
+    step = across @ -torch.linalg.solve(hessian, gradient)
+    promised = -0.5 * float(reduced.gradient @ step) - 0.5 * float((equations.nuisance_gradient * reduced.nuisance_step).sum())
+    nuisances = near.point.nuisances + reduced.nuisance_step + reduced.nuisance_response @ step
+    return _Fitted(
+        point=Point(near.point.gel + step, nuisances),
+        cost=-float(near.log_joint) - promised,
         promised=promised,
         hessian=reduced.hessian,
         nuisance_log_det=float(reduced.nuisance_log_det),

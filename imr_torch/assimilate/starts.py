@@ -1,91 +1,52 @@
-"""Where the chains of a search set out: from the best of many prior draws, from given gels, or from about an earlier optimum.
+"""Where the chains of a search set out: from the best of many prior draws, from given points, or from about an earlier optimum.
 
 Starts of a model are apart from each other, so that their ending in one place says something.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.fit import Assimilation
-from imr_torch.assimilate.options import EnsembleOptions
-from imr_torch.assimilate.problem import Problem
+from imr_torch.assimilate.fit import ModelFit
+from imr_torch.assimilate.options import SearchOptions
+from imr_torch.assimilate.posterior import Point, Posterior
 from imr_torch.errors import ConvergenceError, ShapeError
 
-_APART = 0.5  # prior standard deviations between the scouts that are chosen
+_APART = 0.5  # prior standard deviations between the prior draws that are chosen
 _RESTART = 0.25  # prior standard deviations
 _BESIDE = 10.0  # posterior standard deviations between an earlier optimum and the starts about it
 
 
-@dataclass(frozen=True)
-class Starts:
-    """Points at which ``C`` chains set out.
-
-    Args:
-        model: ``C`` tensor, index of the model of each, in order.
-        gel: ``C x size`` tensor, controls.
-        nuisances: ``C x E x 3`` tensor, standardised.
-        cost: ``C`` tensor, nats; infinite where a bubble fails.
-    """
-
-    model: Tensor
-    gel: Tensor
-    nuisances: Tensor
-    cost: Tensor
+def scouted(posterior: Posterior, options: SearchOptions, source: torch.Generator) -> Point:
+    """The best of many prior draws that are not neighbours of each other; the prior mean is among the draws."""
+    draws = torch.randn(options.scouts, posterior.size, generator=source, dtype=torch.float64)
+    draws[0] = 0.0
+    points = Point(draws, posterior.still(options.scouts))
+    return points[_distinct(posterior.prior.model, draws, -posterior.log_joint(points), options.starts)]
 
 
-def scouted(problem: Problem, options: EnsembleOptions, source: torch.Generator) -> Starts:
-    """The best of many prior draws of each model that are not neighbours of each other."""
-    models, count = len(problem.belief.models), options.scouts
-    draws = torch.randn(models, count, problem.size, generator=source, dtype=torch.float64)
-    draws[:, 0] = 0.0
-    for i, part in enumerate(problem.belief.models):
-        draws[i, :, len(part.names) :] = 0.0  # padding: controls that this model does not have
-    index = torch.arange(models).repeat_interleave(count)
-    still = torch.zeros(models * count, *problem.batch.nuisance_sds.shape, dtype=torch.float64)
-    cost = problem.cost(index, draws.flatten(0, 1), still).reshape(models, count)
-    chosen = torch.stack([_distinct(problem, i, draws[i], cost[i], options.starts) for i in range(models)])
-    model = torch.arange(models).repeat_interleave(options.starts)
-    rows = chosen.flatten()
-    return Starts(model, draws[model, rows], still[: len(model)], cost[model, rows])
-
-
-def given(problem: Problem, gels: Sequence[Tensor], nuisances: Sequence[Tensor] | None) -> Starts:
-    """Given controls, two rows or more of each model; all those of a model begin with the same nuisances, zero by default.
+def given(posteriors: Sequence[Posterior], gels: Sequence[Tensor], nuisances: Sequence[Tensor] | None) -> list[Point]:
+    """Given gels, two rows or more of each model; all those of a model begin with the same nuisances, zero by default.
 
     Raises:
-        ShapeError: if the controls do not suit the models.
+        ShapeError: if the gels do not suit the models.
     """
-    free = [len(part.names) for part in problem.belief.models]
+    free = [posterior.size for posterior in posteriors]
     if [rows.shape[1] for rows in gels] != free or min(len(rows) for rows in gels) < 2:
         shapes = [tuple(rows.shape) for rows in gels]
         raise ShapeError(f"starts has shapes {shapes}; expected two rows or more of {free} free parameters.")
-    model = torch.arange(len(free)).repeat_interleave(torch.tensor([len(rows) for rows in gels]))
-    gel = torch.cat([problem.padded(rows) for rows in gels])
-    if nuisances is None:
-        begun = torch.zeros(len(model), *problem.batch.nuisance_sds.shape, dtype=torch.float64)
-    else:
-        begun = torch.stack([nuisances[i] for i in model.tolist()])
-    return Starts(model, gel, begun, problem.cost(model, gel, begun))
+    own = [p.still() for p in posteriors] if nuisances is None else nuisances
+    return [Point(rows, n.expand(len(rows), -1, -1)) for rows, n in zip(gels, own, strict=True)]
 
 
-def beside(problem: Problem, near: Assimilation, options: EnsembleOptions, source: torch.Generator) -> Starts:
-    """Each model's optimum in an earlier assimilation, and perturbed copies of it."""
-    model = torch.arange(len(problem.belief.models)).repeat_interleave(options.starts)
-    fits = [near[problem.belief.keys[i]] for i in model.tolist()]
-    noise = torch.stack([problem.padded(around(fit.chol, source, _BESIDE)) for fit in fits])
-    noise[:: options.starts] = 0.0
-    optimum = torch.stack([problem.padded(fit.mean) for fit in fits])
-    nuisances = torch.stack([fit.nuisances for fit in fits])
-    gel = optimum + noise
-    cost = problem.cost(model, gel, nuisances)
-    failed = torch.isinf(cost)
-    if bool(failed.any()):
-        gel[failed] = optimum[failed]
-        cost[failed] = problem.cost(model[failed], gel[failed], nuisances[failed])
-    return Starts(model, gel, nuisances, cost)
+def beside(posterior: Posterior, fit: ModelFit, options: SearchOptions, source: torch.Generator) -> Point:
+    """A model's optimum in an earlier assimilation, and perturbed copies of it."""
+    noise = torch.stack([around(fit.chol, source, _BESIDE) for _ in range(options.starts)])
+    noise[0] = 0.0
+    point = Point(fit.mean + noise, fit.nuisances.expand(options.starts, -1, -1))
+    failed = torch.isinf(posterior.log_joint(point))
+    return Point(torch.where(failed[:, None], fit.mean, point.gel), point.nuisances)
 
 
 def around(chol: Tensor, source: torch.Generator, away: float) -> Tensor:
@@ -98,20 +59,18 @@ def around(chol: Tensor, source: torch.Generator, away: float) -> Tensor:
     return step * (_RESTART * noise.norm() / step.norm().clamp_min(1e-300)).clamp_max(1.0)
 
 
-def _distinct(problem: Problem, model: int, draws: Tensor, cost: Tensor, count: int) -> Tensor:
-    """Rows of the best scouts of a model, each apart from the ones before."""
-    free = len(problem.belief.models[model].names)
+def _distinct(model: str, draws: Tensor, cost: Tensor, count: int) -> Tensor:
+    """Rows of the best draws of a model (``n x d``, with their costs), each apart from the ones before."""
     order = torch.argsort(cost)
     order = order[torch.isfinite(cost[order])]
     if order.numel() < 2:
         raise ConvergenceError(
-            f"{problem.belief.keys[model]}: {order.numel()} of {len(cost)} prior draws could be simulated; "
+            f"{model}: {order.numel()} of {len(cost)} prior draws could be simulated; "
             "check units and bounds of the prior and the designs."
         )
     picked: list[int] = []
     for row in order.tolist():
-        gaps = [(draws[row, :free] - draws[other, :free]).norm() for other in picked]
-        if all(gap > _APART for gap in gaps):
+        if all((draws[row] - draws[other]).norm() > _APART for other in picked):
             picked.append(row)
         if len(picked) == count:
             break

@@ -17,7 +17,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, ImportanceSample, ModelFit, assimilate_estimating_noise, weigh
+from imr_torch.assimilate import Assimilation, ImportanceSample, ModelFit, SearchOptions, assimilate_estimating_noise, weigh
 from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError
 from imr_torch.material import Belief
@@ -50,7 +50,7 @@ class Arrangement:
     design: tuple[float, float]
     plan: Plan = field(default_factory=Plan)
     samples: int = 256
-    options: EnsembleOptions = field(default_factory=EnsembleOptions)
+    options: SearchOptions = field(default_factory=SearchOptions)
     learn: Learn | None = None
     noise_rounds: int = 0
 

@@ -14,8 +14,8 @@ import torch
 
 from imr_torch.assimilate import (
     Assimilation,
-    EnsembleOptions,
     PublishedOptions,
+    SearchOptions,
     assimilate_estimating_noise,
     assimilate_published,
     weigh,
@@ -87,7 +87,7 @@ class ExactLearner:
     """
 
     samples: int = 256
-    ensemble: EnsembleOptions = field(default_factory=EnsembleOptions)
+    ensemble: SearchOptions = field(default_factory=SearchOptions)
     noise_rounds: int = 0
 
     def __post_init__(self) -> None:

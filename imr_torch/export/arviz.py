@@ -115,9 +115,9 @@ def _fit_groups(fit: ModelFit, batch: ExperimentBatch, seed: int, draws: int) ->
     if sample is None:
         noise = torch.randn(draws, len(fit.mean), generator=source, dtype=torch.float64)
         controls = fit.mean + noise @ fit.chol.mT
-        return {"posterior": _parameters(fit.prior, fit.prior.mean + controls @ fit.prior.chol.mT)} | data
+        return {"posterior": _parameters(fit.prior, fit.prior.unwhitened(controls))} | data
     chosen = sample.resample(draws, source)
-    posterior = _parameters(fit.prior, fit.prior.mean + sample.controls[chosen] @ fit.prior.chol.mT)
+    posterior = _parameters(fit.prior, fit.prior.unwhitened(sample.controls[chosen]))
     posterior |= _experiments(batch) | {"nuisance": _variable(("nuisance",), list(NUISANCES))}
     sds = _variable(("chain", "draw", "experiment", "nuisance"), sample.nuisances[chosen][None], units="prior sd")
     posterior["nuisances"] = sds

@@ -67,7 +67,7 @@ class ModelPrior(Distribution):
     def sample(self, sample_shape: Sequence[int] = ()) -> Tensor:
         """``sample_shape x d`` draws, from torch's global generator as the contract has it."""
         noise = torch.randn(*sample_shape, len(self.belief.names), dtype=torch.float64)
-        return self.belief.physical(self.belief.mean + noise @ self.belief.chol.mT).to(self.dtype)
+        return self.belief.physical(self.belief.unwhitened(noise)).to(self.dtype)
 
     def log_prob(self, value: Tensor) -> Tensor:
         """Log density at ``... x d`` parameters: ``...`` tensor, ``-inf`` outside the support."""

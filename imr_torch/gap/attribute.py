@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from imr_torch.assimilate import EnsembleOptions, ModelFit
+from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence
 from imr_torch.gap.linear import Linearisation, linearise
 from imr_torch.gap.refitted import refitted_directions
@@ -35,7 +35,7 @@ chance once in twenty. In the sets tried, two of four adequate wrong winners lay
 _MASKED = 0.35  # chance that some effect of the library is adequate although the true one is not in it
 _MASKED_BY_TWO = 0.14  # that two are together, where none is alone: five of 35 withheld effects
 _LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
-_FIT = EnsembleOptions(starts=2, iterations=30, hopeless=6.0, descents=0, polish=False)  # the winner's is finished later
+_FIT = SearchOptions(starts=2, iterations=30, drop_behind=6.0, basin_rounds=0, polish=False)  # the winner's is finished later
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate
+from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, assimilate
 from imr_torch.assimilate.fit import ALL_BUT, ONE_MINIMUM
 from imr_torch.material import PARAMETERS, Belief, Effect, Marginal, ModelBelief
 from imr_torch.observe import ExperimentBatch
@@ -19,7 +19,7 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import PolytropicSimulator, Simulator
 from imr_torch.types import Progress
 
-_ROUGH = EnsembleOptions(gradient=1e-2, starts=2)
+_ROUGH = SearchOptions(gradient=1e-2, starts=2)
 _MANY = 6  # starts where fewer disagree
 _APART = 0.3  # prior standard deviations between the starts of the null fit
 
@@ -94,25 +94,25 @@ def fit_null(
     A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals, is taken up again; where
     starts arrived and disagree, more of them are sent out.
     """
-    enough = EnsembleOptions().gradient
+    enough = SearchOptions().gradient
     fit = _search_null(base, batch, simulator, seed=seed, progress=progress)
     if fit.certificate.gradient >= enough:
         fit = finish(fit, batch, simulator, seed=child(seed, "finish"), progress=progress)
     if fit.certificate.converged or fit.certificate.gradient >= enough:
         return fit
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
-    many, own = EnsembleOptions(starts=_MANY), child(seed, "again")
+    many, own = SearchOptions(starts=_MANY), child(seed, "again")
     again = assimilate(belief, batch, simulator, seed=own, options=many, warn=False, progress=progress).fits[0]
     return _lower(fit, again, many)
 
 
-def _lower(one: ModelFit, other: ModelFit, options: EnsembleOptions) -> ModelFit:
+def _lower(one: ModelFit, other: ModelFit, options: SearchOptions) -> ModelFit:
     """The lower of two fits, certified also if the other search found that minimum too."""
     low, high = sorted((one, other), key=lambda fit: fit.cost)
     return _certified(low, high.cost - low.cost, options)
 
 
-def _certified(fit: ModelFit, agreement: float, options: EnsembleOptions) -> ModelFit:
+def _certified(fit: ModelFit, agreement: float, options: SearchOptions) -> ModelFit:
     """A fit with a certificate that counts agreement with other starts than its own, nats."""
     agreement = min(fit.certificate.agreement, agreement)
     converged = fit.certificate.gradient < options.gradient and agreement < options.agreement
@@ -125,14 +125,14 @@ def _search_null(
     """The best fit of the starts, converged or not."""
     belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
     search = partial(assimilate, belief, batch, simulator, seed=seed, warn=False, progress=progress)
-    scouted = EnsembleOptions()
+    scouted = SearchOptions()
     if isinstance(getattr(simulator, "simulator", simulator), PolytropicSimulator) or int(batch.counts.max()) == 1:
         return search(options=scouted).fits[0]
     cheap = PolytropicSimulator(simulator.conditions)
     rough = assimilate(belief, batch, cheap, seed=seed, options=_ROUGH, warn=False).fits[0]
     spread = _APART * torch.randn(2, len(rough.mean), generator=generator(child(seed, "null")), dtype=torch.float64)
     starts = torch.cat((rough.mean[None], rough.mean + spread))
-    options = EnsembleOptions(blunt=True)  # the polytropic collapse may be on another side of a frame
+    options = SearchOptions(mask_collapses=True)  # the polytropic collapse may be on another side of a frame
     fit = search(starts=[starts], options=options).fits[0]
     if fit.certificate.converged:
         return fit
@@ -147,7 +147,7 @@ def fit_hypotheses(
     *,
     seed: int,
     starts: Mapping[str, Sequence[Sequence[float]]] | None = None,
-    options: EnsembleOptions | None = None,
+    options: SearchOptions | None = None,
     progress: Progress | None = None,
 ) -> dict[str, ModelFit]:
     """Fit hypotheses from the null fit, in one batch.
@@ -189,7 +189,7 @@ def finish(
 
     A start beside it may end in another valley. The certificate then is that of the starts before, if they were all but there.
     """
-    options = EnsembleOptions(starts=2)
+    options = SearchOptions(starts=2)
     near = as_assimilation(fit, batch)
     found = assimilate(near.prior, batch, simulator, seed=seed, options=options, near=near, warn=False, progress=progress)
     ended = found.fits[0]

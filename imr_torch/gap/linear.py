@@ -12,12 +12,10 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit
+from imr_torch.assimilate import ModelFit, Posterior
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
-
-_STEP = 1e-4  # control step of lock-step differences
 
 
 @dataclass(frozen=True)
@@ -103,25 +101,14 @@ def curves(
 
 
 def linearise(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
-    """The neighbourhood of a fit, by differences of bubbles in lock step."""
-    size, experiments = len(fit.mean), len(batch.experiments)
-    columns = torch.nonzero((batch.nuisance_sds > 0.0).any(0))[:, 0].tolist()
-    count = 1 + size + len(columns)
-    controls = fit.mean.expand(count, -1).clone()
-    nuisances = fit.nuisances.expand(count, -1, -1).clone()
-    controls[1 : 1 + size] += _STEP * torch.eye(size, dtype=torch.float64)
-    for row, column in enumerate(columns, start=1 + size):
-        nuisances[row, :, column] += _STEP
-    parameters, shifts = fit.parameters(controls), nuisances * batch.nuisance_sds
-    prediction = predict(simulator, parameters[None], batch, shifts[None], bundled=True)[0]
-    prediction = torch.where(batch.mask, prediction, 0.0)
-    sd = batch.sd(prediction[0])
-    slopes = batch.whiten((prediction[1:] - prediction[0]) / _STEP, sd).nan_to_num()  # k x E x T; what failed tells nothing
-    by_gel = slopes[:size].flatten(1).mT
-    own = torch.eye(experiments, dtype=torch.float64)[:, :, None] * slopes[size:, None]  # C x E x E x T
-    by_nuisance = own.flatten(0, 1).flatten(1).mT
-    data = torch.cat((by_gel, by_nuisance), 1)
+    """The neighbourhood of a fit, by differences of bubbles that take the same solver steps."""
+    posterior = Posterior(fit.prior, batch, simulator)
+    near = posterior.neighbourhood(fit.point)
+    columns, experiments, sd = posterior.uncertain, len(batch.experiments), batch.sd(near.centre)
+    by_gel, by_nuisance = (batch.whiten(x.movedim(-1, 0), sd).nan_to_num() for x in near.slopes)  # ... x E x T each
+    own = torch.eye(experiments, dtype=torch.float64)[:, :, None] * by_nuisance[columns][:, None]  # C x E x E x T
+    data = torch.cat((by_gel.flatten(1).mT, own.flatten(0, 1).flatten(1).mT), 1)
     fitted = torch.cat((data, -torch.eye(data.shape[1], dtype=torch.float64)))
     priors = torch.cat((fit.mean, fit.nuisances[:, columns].mT.flatten()))
-    residual = torch.cat((batch.whiten(batch.mean - prediction[0], sd).flatten(), priors))
-    return Linearisation(residual, fitted, prediction[0], sd, batch)
+    residual = torch.cat((batch.whiten(batch.mean - near.centre, sd).flatten(), priors))
+    return Linearisation(residual, fitted, near.centre, sd, batch)

@@ -17,7 +17,7 @@ import torch
 from scipy.stats import chi2
 from torch import Tensor
 
-from imr_torch.assimilate import EnsembleOptions, ModelFit, assimilate
+from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
 from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
 from imr_torch.gap.linear import linearise
@@ -33,7 +33,7 @@ _APART = 0.03  # prior standard deviations between the starts of a training fit:
 _STEPS = 2  # Gauss-Newton steps for the nuisances of a held-out design
 _ADEQUATE = 0.01
 _WIDEST = 2.0  # size of S beyond which the base leaves next to nothing to shrink
-_OPTIONS = EnsembleOptions(starts=2, iterations=20, gradient=0.3, descents=0, polish=False)  # .05 nats: below training noise
+_OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0, polish=False)  # .05 nats: below training noise
 _NONE = "none"
 
 

@@ -104,7 +104,7 @@ def _window(
 
 
 def _physical(fit: ModelFit, controls: Tensor) -> Tensor:
-    return fit.prior.physical(fit.prior.mean + controls @ fit.prior.chol.mT)
+    return fit.prior.physical(fit.prior.unwhitened(controls))
 
 
 def _constancy(centres: Tensor, controls: Tensor, maps: Tensor) -> tuple[Tensor, Tensor]:

@@ -96,7 +96,7 @@ class ModelBelief:
     def controls(self, count: int, *, seed: SeedLike) -> Tensor:
         """``count x d`` independent draws of the controls."""
         noise = torch.randn(count, len(self.names), generator=generator(seed), dtype=self.mean.dtype)
-        return self.mean + noise.to(self.mean.device) @ self.chol.mT
+        return self.unwhitened(noise.to(self.mean.device))
 
     def physical(self, controls: Tensor) -> Tensor:
         """Free parameters in SI at controls; ``... x d`` to ``... x d``."""
@@ -115,6 +115,14 @@ class ModelBelief:
         for name, value in self.known.items():
             packed[..., PARAMETERS.index([name])[0]] = value
         return packed.index_copy(-1, torch.tensor(PARAMETERS.index(self.names), device=values.device), values)
+
+    def unwhitened(self, whitened: Tensor) -> Tensor:
+        """Controls at coordinates in which this belief is a standard normal: ``... x d`` to ``... x d``."""
+        return self.mean + whitened @ self.chol.mT
+
+    def to_si(self, whitened: Tensor) -> Tensor:
+        """Shared parameter vectors at coordinates in which this belief is a standard normal: ``... x d`` to ``... x p``, SI."""
+        return self.parameters(self.unwhitened(whitened))
 
     def log_prob_controls(self, controls: Tensor) -> Tensor:
         """Log density of the Gaussian at controls: ``... x d`` to ``...``."""

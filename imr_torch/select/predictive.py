@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate, weigh
+from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, assimilate, weigh
 from imr_torch.assimilate.importance import kish, reliable, smooth
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
@@ -55,7 +55,7 @@ def predictive_density(
     *,
     seed: int,
     samples: int = 256,
-    options: EnsembleOptions | None = None,
+    options: SearchOptions | None = None,
 ) -> tuple[float, float]:
     """Log predictive density of experiments under a belief, over models and parameters.
 
@@ -95,7 +95,7 @@ def cross_validate(
     seed: int,
     folds: Sequence[Sequence[int]] | None = None,
     samples: int = 256,
-    options: EnsembleOptions | None = None,
+    options: SearchOptions | None = None,
     progress: Progress | None = None,
 ) -> tuple[PredictiveScore, ...]:
     """Score every model on each fold of the experiments, learning from the others.

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import EnsembleOptions, assimilate, weigh
+from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate, weigh
 from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.observe import ExperimentBatch, Nuisance, predict
 from tests.linear import CORRELATED, NOISE, LinearSimulator, exact, experiments, prior
@@ -34,12 +34,12 @@ def closed_form(parameters, batch: ExperimentBatch, simulator):
 def test_that_one_step_is_exact_where_nuisances_are_linear(noise, start):
     batch, simulator = experiments(3, nuisance=BOTH, noise=noise), LinearSimulator()
     part = prior(("nhkv",)).models[0]
-    gels = part.parameters(part.controls(4, seed=0))
+    gels = part.controls(4, seed=0)
     guess = torch.full((4, 3, 3), start, dtype=torch.float64) * (batch.nuisance_sds > 0.0)
     chol = torch.eye(3, dtype=torch.float64).expand(4, 3, 3, 3)
-    found, root = conditional_nuisances(gels, guess, chol, batch, simulator)
+    found, root = conditional_nuisances(Posterior(part, batch, simulator), Point(gels, guess), chol)
     for i in range(4):
-        mean, hessian = closed_form(gels[i], batch, simulator)
+        mean, hessian = closed_form(part.to_si(gels[i]), batch, simulator)
         torch.testing.assert_close(found[i], mean, rtol=1e-5, atol=1e-6)
         torch.testing.assert_close(root[i] @ root[i].mT, hessian, rtol=1e-5, atol=1e-6)
 
@@ -47,20 +47,20 @@ def test_that_one_step_is_exact_where_nuisances_are_linear(noise, start):
 def test_that_what_cannot_be_simulated_keeps_its_guess():
     batch = experiments(2, nuisance=BOTH)
     part = prior(("nhkv",)).models[0]
-    gels = part.parameters(part.controls(3, seed=0))
+    gels = part.controls(3, seed=0)
     guess, chol = torch.full((3, 2, 3), 0.3, dtype=torch.float64), 2.0 * torch.eye(3, dtype=torch.float64).expand(3, 2, 3, 3)
     guess[1, 0, 1] = -1e3  # a clock that is so early that there is no bubble yet
-    found, root = conditional_nuisances(gels, guess, chol, batch, LinearSimulator())
+    found, root = conditional_nuisances(Posterior(part, batch, LinearSimulator()), Point(gels, guess), chol)
     assert torch.equal(found[1, 0], guess[1, 0])
     assert torch.equal(root[1, 0], chol[1, 0])
     assert not torch.equal(found[1, 1], guess[1, 1])
-    failed, _ = conditional_nuisances(gels, guess, chol, batch, LinearSimulator(fails=True))
+    failed, _ = conditional_nuisances(Posterior(part, batch, LinearSimulator(fails=True)), Point(gels, guess), chol)
     assert torch.equal(failed, guess)
 
 
 def test_that_weighing_survives_nuisances_that_do_not_move_as_the_fit_says():
     batch, simulator = experiments(3, nuisance=BOTH), LinearSimulator()
-    fitted = assimilate(prior(("nhkv",)), batch, simulator, seed=1, options=EnsembleOptions(scouts=24))
+    fitted = assimilate(prior(("nhkv",)), batch, simulator, seed=1, options=SearchOptions(scouts=24))
     fit = fitted.fits[0]
     spoilt = replace(fit, nuisance_response=torch.zeros_like(fit.nuisance_response), nuisances=fit.nuisances + 1.5)
     spoilt = replace(spoilt, nuisance_chol=2.0 * fit.nuisance_chol)

@@ -4,12 +4,10 @@ from dataclasses import replace
 
 import pytest
 import torch
-from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, Verdict, assimilate, weigh
-from imr_torch.assimilate.cost import joint_cost
+from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, Verdict, assimilate, weigh
 from imr_torch.assimilate.lower import lower_point
-from imr_torch.observe import ExperimentBatch, Nuisance, predict
+from imr_torch.observe import ExperimentBatch, Nuisance
 from tests.linear import LinearSimulator, exact, experiments, prior
 
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
@@ -17,7 +15,7 @@ BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 @pytest.fixture(scope="module")
 def right() -> Assimilation:
-    options = EnsembleOptions(scouts=24, starts=2)
+    options = SearchOptions(scouts=24, starts=2)
     return assimilate(prior(("nhkv",)), experiments(3, nuisance=BOTH), LinearSimulator(), seed=1, options=options)
 
 
@@ -53,8 +51,7 @@ def test_that_a_draw_is_better_only_above_another_minimum_and_of_a_model_that_ma
     wrong = weigh(ended_too_high(right, 4.0), simulator, seed=0, refit=False).fits[0]
     point = lower_point(wrong, wrong.cost, batch, simulator)
     assert point is not None
-    prediction = predict(simulator, wrong.parameters(point[0][None]), batch, point[1][None] * batch.nuisance_sds)
-    assert float(joint_cost(batch, *(x[None] for x in point), prediction)[0]) < wrong.cost - 0.1
+    assert -float(Posterior(wrong.prior, batch, simulator).log_joint(point)) < wrong.cost - 0.1
     assert lower_point(wrong, wrong.cost - 200.0, batch, simulator) is None
 
 
@@ -74,12 +71,12 @@ def test_that_a_minimum_that_is_not_lower_is_not_taken_and_the_fit_is_weighed_to
     """However often the draws promise one."""
     promised = []
 
-    def promise(fit: ModelFit, best: float, batch: ExperimentBatch, simulator: LinearSimulator) -> tuple[Tensor, Tensor]:
+    def promise(fit: ModelFit, best: float, batch: ExperimentBatch, simulator: LinearSimulator) -> Point:
         promised.append(best)
-        return fit.mean, fit.nuisances
+        return fit.point
 
-    monkeypatch.setattr("imr_torch.assimilate.trust.lower_point", promise)
-    monkeypatch.setattr("imr_torch.assimilate.trust._REFITS", 1)
+    monkeypatch.setattr("imr_torch.assimilate.weighing.lower_point", promise)
+    monkeypatch.setattr("imr_torch.assimilate.weighing._REFITS", 1)
     fit, said = right.fits[0], []
     narrow = replace(right, fits=(replace(fit, nuisance_chol=2.0 * fit.nuisance_chol),))
     weighed = weigh(narrow, LinearSimulator(), seed=0, progress=said.append).fits[0]
@@ -90,8 +87,8 @@ def test_that_a_minimum_that_is_not_lower_is_not_taken_and_the_fit_is_weighed_to
 
 def test_that_a_model_fitted_again_is_weighed_beside_others_whose_rounds_are_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
     """All rounds are made; the third has several nuisances to a draw, of which one is kept in proportion to its weight."""
-    monkeypatch.setattr("imr_torch.assimilate.trust._Course.refused", True)
-    batch, options = experiments(3, nuisance=BOTH), EnsembleOptions(scouts=24, starts=2)
+    monkeypatch.setattr("imr_torch.assimilate.weighing._Course.refused", True)
+    batch, options = experiments(3, nuisance=BOTH), SearchOptions(scouts=24, starts=2)
     both = assimilate(prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=options)
     wrong = replace(both, fits=(both.fits[0], *ended_too_high(replace(both, fits=both.fits[1:]), 4.0).fits))
     said = []

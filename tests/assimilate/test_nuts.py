@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate, weigh
+from imr_torch.assimilate import Assimilation, SearchOptions, assimilate, weigh
 from imr_torch.assimilate.nuts import NutsDraws, nuts
 from imr_torch.errors import ConvergenceError, InputDataError, UnsupportedError
 from imr_torch.material import PARAMETERS, Belief, reference_case
@@ -12,7 +12,7 @@ from imr_torch.simulate import PolytropicSimulator
 from tests.curved import CurvedSimulator, quadrature
 from tests.linear import LinearSimulator, exact, experiments, prior, tensor
 
-OPTIONS = EnsembleOptions(scouts=24)
+OPTIONS = SearchOptions(scouts=24)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 

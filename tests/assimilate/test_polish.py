@@ -7,9 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import EnsembleOptions, assimilate, polish
-from imr_torch.assimilate.problem import Problem
-from imr_torch.assimilate.search import Search
+from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate, map_fit, polish
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
 from imr_torch.simulate import Solution
@@ -47,7 +45,7 @@ def nearly_central(nuisance: Nuisance | None = None) -> ExperimentBatch:
 
 def fitted(batch: ExperimentBatch):
     belief = prior(("nhkv",))
-    return assimilate(belief, batch, Circle(), seed=1, options=EnsembleOptions(scouts=24), starts=[STARTS], warn=False).fits[0]
+    return assimilate(belief, batch, Circle(), seed=1, options=SearchOptions(scouts=24), starts=[STARTS], warn=False).fits[0]
 
 
 @pytest.mark.parametrize("nuisance", [None, Nuisance(time_zero=0.05)], ids=["certain", "uncertain"])
@@ -56,7 +54,7 @@ def test_that_a_crawling_fit_arrives_and_would_not_alone(monkeypatch, nuisance: 
     arrived = fitted(batch)
     assert arrived.certificate.converged
     assert float(arrived.mean[1]) == pytest.approx(TURN, abs=0.05)  # the prior pulls
-    monkeypatch.setattr(Search, "polish", lambda _: False)
+    monkeypatch.setattr(map_fit, "polish_crawling", lambda searches, _: (searches, False))
     alone = fitted(batch)
     assert not alone.certificate.converged
     assert alone.cost > arrived.cost + 1.0
@@ -64,7 +62,7 @@ def test_that_a_crawling_fit_arrives_and_would_not_alone(monkeypatch, nuisance: 
 
 def test_that_a_fit_that_arrives_by_itself_is_left_alone(monkeypatch) -> None:
     monkeypatch.setattr(polish, "polish", lambda *_: pytest.fail("polished"))
-    found = assimilate(prior(), experiments(3), LinearSimulator(), seed=1, options=EnsembleOptions(scouts=24))
+    found = assimilate(prior(), experiments(3), LinearSimulator(), seed=1, options=SearchOptions(scouts=24))
     assert found.converged
 
 
@@ -72,9 +70,9 @@ def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
     """The way to the minimum is barred at nearly half of it; the point ends on this side, lower than it began."""
     batch = nearly_central()
     barred = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
-    problem = Problem(prior(("nhkv",)), batch, barred)
-    model, gel, nuisances = torch.zeros(1, dtype=torch.long), STARTS[:1], torch.zeros(1, 1, 3, dtype=torch.float64)
-    ended = polish.polish(problem, model, gel, nuisances, 1e-6)
-    costs = [float(problem.cost(model, *point)) for point in ((gel, nuisances), ended)]
+    posterior = Posterior(prior(("nhkv",)).models[0], batch, barred)
+    begun = Point(STARTS[0], posterior.still())
+    ended = polish.polish(posterior, begun)
+    costs = [-float(posterior.log_joint(point)) for point in (begun, ended)]
     assert costs[1] < costs[0] < math.inf
-    assert 0.5 < float(ended[0][0, 1]) < 0.8
+    assert 0.5 < float(ended.gel[1]) < 0.8

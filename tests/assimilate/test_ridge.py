@@ -3,13 +3,13 @@
 import pytest
 import torch
 
-from imr_torch.assimilate import EnsembleOptions, Verdict, assimilate, weigh
+from imr_torch.assimilate import SearchOptions, Verdict, assimilate, weigh
 from imr_torch.assimilate.ridge import trace_ridge
 from imr_torch.observe import Nuisance
 from tests.curved import CurvedSimulator, quadrature
 from tests.linear import LinearSimulator, experiments, prior
 
-OPTIONS = EnsembleOptions(scouts=24)
+OPTIONS = SearchOptions(scouts=24)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import EnsembleOptions
+from imr_torch.assimilate import SearchOptions
 from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Journal, Optimal, Random
 from imr_torch.design import Estimator, Plan
 from imr_torch.errors import InputDataError
@@ -22,7 +22,7 @@ TIMES = torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
 SETTINGS = CampaignSettings(
     plan=Plan(times=TIMES, repeats=20),
     policy=Optimal(Estimator(draws=3), evaluations=5, initial=4),
-    learner=ExactLearner(32, EnsembleOptions(members=8, scouts=24, starts=2)),
+    learner=ExactLearner(32, SearchOptions(scouts=24, starts=2)),
 )
 LABORATORY = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(CASE.truth), repeats=20, times=TIMES)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import EnsembleOptions, PublishedOptions
+from imr_torch.assimilate import PublishedOptions, SearchOptions
 from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Harvest, PaperLearner
 from imr_torch.design import POLICIES, DesignOptimizer, DesignSpace, Estimator, Plan, Policy, expected_information_gain
 from imr_torch.errors import InputDataError
@@ -16,7 +16,7 @@ from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tens
 
 SIMULATOR = LinearSimulator()
 TIMES = torch.linspace(0.1, 3.0, 30, dtype=torch.float64)
-EXACT, PAPER = ExactLearner(64, EnsembleOptions(scouts=24)), PaperLearner()
+EXACT, PAPER = ExactLearner(64, SearchOptions(scouts=24)), PaperLearner()
 TWO = ("newtonian", "nhkv")
 
 

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import torch
 
-from imr_torch.assimilate import EnsembleOptions
+from imr_torch.assimilate import SearchOptions
 from imr_torch.campaign import CampaignSettings, ExactLearner, Optimal, Random, Study, run_campaigns
 from imr_torch.design import DesignSpace, Estimator, Plan
 from imr_torch.errors import InputDataError, UnsupportedError
@@ -22,7 +22,7 @@ OPTIMAL = Optimal(Estimator(draws=3), evaluations=4, initial=3)
 def study(folder, *, policy=OPTIMAL, truth=None) -> Study:
     simulator = LinearSimulator()
     laboratory = SimulatedLaboratory(truth or simulator, TRUTH, noise=NOISE, repeats=4, times=PLAN.times)
-    settings = CampaignSettings(DesignSpace(), PLAN, policy, ExactLearner(32, EnsembleOptions(scouts=24)))
+    settings = CampaignSettings(DesignSpace(), PLAN, policy, ExactLearner(32, SearchOptions(scouts=24)))
     return Study(folder, prior(("newtonian", "nhkv")), simulator, laboratory, settings, {"gel": "test"})
 
 

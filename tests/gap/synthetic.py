@@ -2,7 +2,7 @@
 
 import torch
 
-from imr_torch.assimilate import EnsembleOptions, ModelFit, assimilate
+from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.material import PARAMETERS, Belief, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
@@ -44,5 +44,5 @@ def fit(batch: ExperimentBatch, hypothesis: Hypothesis | None = None, **effect: 
     start = prior.to_controls(torch.tensor([values[name] for name in prior.names], dtype=torch.float64))
     starts = torch.stack((start, start + 0.003))
     belief = Belief((prior,), torch.zeros(1, dtype=torch.float64))
-    options = EnsembleOptions(starts=2)
+    options = SearchOptions(starts=2)
     return assimilate(belief, batch, SIMULATOR, seed=0, options=options, starts=[starts]).fits[0]

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from imr_torch.assimilate import EnsembleOptions
+from imr_torch.assimilate import SearchOptions
 from imr_torch.gap.attribute import PRIOR_NONE, PRIOR_OTHER, Attribution, Inquiry, _weigh, attribute, reconsider
 from imr_torch.gap.diagnose import impatient
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
@@ -74,7 +74,7 @@ def test_that_the_credible_set_is_the_smallest_that_reaches_its_level() -> None:
 def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch) -> None:
     batch = shoot({"gas_loss": 0.2})
     null = fit(batch)
-    monkeypatch.setattr("imr_torch.gap.attribute._FIT", EnsembleOptions(starts=2, iterations=2, polish=False))
+    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2, polish=False))
     found = attribute(Inquiry(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), batch, SIMULATOR), null, {}, seed=0)
     assert found.winner == "gas_loss"
     assert found.fits["gas_loss"].certificate.converged

@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit
-from imr_torch.assimilate.search import Search
+from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, map_fit
 from imr_torch.gap import hypotheses
 from imr_torch.simulate import Conditions, PolytropicSimulator
 from tests.gap.synthetic import BASE, DESIGNS, fit, shoot
@@ -52,7 +51,7 @@ def _short(times: list[int]):
     whole = hypotheses.assimilate
 
     def search(*args, options=None, **more) -> Assimilation:
-        options = options or EnsembleOptions()
+        options = options or SearchOptions()
         return whole(*args, options=replace(options, iterations=times.pop(0)) if times else options, **more)
 
     return search
@@ -60,7 +59,7 @@ def _short(times: list[int]):
 
 def test_that_a_fit_without_time_to_arrive_is_taken_up_again(monkeypatch) -> None:
     batch, simulator = shoot({}, DESIGNS[:1], repeats=10, end=1.5), PolytropicSimulator()
-    monkeypatch.setattr(Search, "polish", lambda _: False)
+    monkeypatch.setattr(map_fit, "polish_crawling", lambda searches, _: (searches, False))
     monkeypatch.setattr(hypotheses, "assimilate", _short([3]))
     fit = hypotheses.fit_null(BASE, batch, simulator, seed=0)
     assert fit.certificate.converged

@@ -6,14 +6,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, ModelFit, assimilate, weigh
+from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, assimilate, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Nuisance
 from imr_torch.select import Evidence, evidences, log_evidence, probability_errors, update
 from tests.linear import CORRELATED, MEANS, MODELS, NOISE, SDS, LinearSimulator, exact, experiments, prior, tensor
 
-OPTIONS = EnsembleOptions(scouts=24)
+OPTIONS = SearchOptions(scouts=24)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 BATCHES = {
     "one experiment": experiments(1),

@@ -5,14 +5,14 @@ import math
 import pytest
 import torch
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, assimilate, weigh
+from imr_torch.assimilate import Assimilation, SearchOptions, assimilate, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Nuisance
 from imr_torch.select import cross_validate, default_folds, predictive_density, sum_over_folds
 from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
 
-OPTIONS = EnsembleOptions(scouts=24)
+OPTIONS = SearchOptions(scouts=24)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 

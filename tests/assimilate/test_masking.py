@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import EnsembleOptions, assimilate, blunt
+from imr_torch.assimilate import SearchOptions, assimilate, masking
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import generator
@@ -47,7 +47,7 @@ def wrong_minima() -> int:
         radius = CuspedSimulator()(gel, tensor(500.0, 0.2), TIMES).radius
         data = radius + NOISE.floor * torch.randn(1, len(TIMES), generator=noise, dtype=torch.float64)
         batch = ExperimentBatch((Experiment("cusp", (500.0, 0.2), TIMES, data),), NOISE)
-        options = EnsembleOptions(scouts=2, starts=2)
+        options = SearchOptions(scouts=2, starts=2)
         fit = assimilate(prior(("nhkv",)), batch, CuspedSimulator(), seed=seed, options=options).fits[0]
         wrong += bool(((fit.mean - truth).abs() > 5.0 * torch.linalg.norm(fit.chol, dim=1)).any())
     return wrong
@@ -56,13 +56,13 @@ def wrong_minima() -> int:
 @pytest.mark.filterwarnings("ignore::imr_torch.errors.ConvergenceWarning")
 def test_that_chains_pass_frames_next_to_a_collapse(monkeypatch: pytest.MonkeyPatch) -> None:
     assert wrong_minima() <= 2
-    monkeypatch.setattr(blunt, "away_from_collapses", lambda times, radius: torch.ones_like(times, dtype=torch.bool))
+    monkeypatch.setattr(masking, "away_from_collapses", lambda times, radius: torch.ones_like(times, dtype=torch.bool))
     assert wrong_minima() >= 6
 
 
 def test_which_frames_are_next_to_a_collapse() -> None:
     radius = tensor(1.0, 0.9, 0.8, 0.2, 0.5, 0.7, 0.6, 0.5, 0.3, 0.1)  # a collapse at frame 3, and one at the end of the record
-    kept = blunt.away_from_collapses(torch.arange(10, dtype=torch.float64), radius)
+    kept = masking.away_from_collapses(torch.arange(10, dtype=torch.float64), radius)
     assert kept.tolist() == [True, True, False, False, False, True, True, True, False, False]
     for short in (tensor(1.0, 1.0, 1.0), tensor(1.0, 0.2, 0.9)):
-        assert bool(blunt.away_from_collapses(torch.arange(3, dtype=torch.float64), short).all())
+        assert bool(masking.away_from_collapses(torch.arange(3, dtype=torch.float64), short).all())

@@ -22,10 +22,11 @@ from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.importance import ImportanceSample, smooth
 from imr_torch.assimilate.lower import lower_minima, lower_point
+from imr_torch.assimilate.posterior import Point, Posterior
 from imr_torch.assimilate.proposals import Kernels, mixture_log_prob, student_draws, student_log_prob
 from imr_torch.assimilate.ridge import trace_ridge
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.observe import ExperimentBatch, predict
+from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
@@ -104,7 +105,7 @@ def weigh(
     seed: int,
     samples: int = 256,
     rounds: int = 4,
-    hopeless: float | None = None,
+    drop_behind: float | None = None,
     refit: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:
@@ -119,7 +120,7 @@ def weigh(
             but where nuisances are uncertain the third has as many, each with four times the nuisances.
         rounds: most rounds; a model stops when the weights are reliable and their moments those that the proposal was
             made for, which after the first round are those of the fit's Gaussian.
-        hopeless: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
+        drop_behind: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
             evidence is, by weights that can be leant on.
         refit: whether a model of which a draw comes upon a lower minimum is fitted again from there, and weighed anew.
         progress: called with one line per round.
@@ -147,7 +148,7 @@ def weigh(
             progress(f"draws: round {number}, " + ", ".join(f"{c.fit.model} {c.fit.trust}" for c in waiting))
         if refit:
             _fit_again(waiting, courses, batch, simulator, child(seed, "refit", number), progress)
-        ahead = _ahead([course.fit for course in courses], hopeless)
+        ahead = _ahead([course.fit for course in courses], drop_behind)
         waiting = [c for c in waiting if not c.parts or (c.refused and len(c.parts) < rounds and c.fit.model in ahead)]
     return replace(assimilation, fits=tuple(course.fit for course in courses))
 
@@ -184,15 +185,15 @@ def _proposal(course: _Course, batch: ExperimentBatch, simulator: Simulator) -> 
     return _again(course.proposals, course.parts)
 
 
-def _ahead(fits: list[ModelFit], hopeless: float | None) -> set[str]:
+def _ahead(fits: list[ModelFit], drop_behind: float | None) -> set[str]:
     """Models that are worth further rounds: neither by optimum nor by evidence far behind the best."""
-    if hopeless is None:
+    if drop_behind is None:
         return {fit.model for fit in fits}
     samples = {fit.model: fit.sample for fit in fits if fit.sample is not None and fit.sample.reliable}
     evidence = {model: sample.log_evidence for model, sample in samples.items()}
     best, most = min(fit.cost for fit in fits), max(evidence.values(), default=-math.inf)
-    near = {fit.model for fit in fits if fit.cost <= best + hopeless}
-    return near - {model for model, value in evidence.items() if value < most - hopeless}
+    near = {fit.model for fit in fits if fit.cost <= best + drop_behind}
+    return near - {model for model, value in evidence.items() if value < most - drop_behind}
 
 
 def _draw(course: _Course, batch: ExperimentBatch, samples: int, seed: int, simulator: Simulator) -> _Draws:
@@ -213,7 +214,8 @@ def _draw(course: _Course, batch: ExperimentBatch, samples: int, seed: int, simu
     noise = torch.cat((half, -half), dim=1)
     centre, chol = fit.nuisances_at(controls), fit.nuisance_chol.expand(samples, -1, -1, -1)
     if number:
-        centre, chol = conditional_nuisances(fit.parameters(controls), centre, chol, batch, simulator)
+        posterior = Posterior(fit.prior, batch, simulator)
+        centre, chol = conditional_nuisances(posterior, Point(controls, centre), chol)
     deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)[..., 0]
     nuisances = centre[:, None] + deviation
     log_prior = _standard_log_prob(nuisances).sum(-1)
@@ -232,11 +234,9 @@ def _standard_log_prob(values: Tensor) -> Tensor:
 def _simulate(fit: ModelFit, draws: _Draws, batch: ExperimentBatch, simulator: Simulator) -> _Round:
     """Likelihoods of the draws of a model."""
     count = draws.nuisances.shape[:2]
-    gels = fit.parameters(draws.controls).repeat_interleave(count[1], 0)
-    shifts = draws.nuisances.flatten(0, 1) * batch.nuisance_sds
-    uncertain = bool((batch.nuisance_sds > 0.0).any())
-    prediction = predict(simulator, gels, batch, shifts if uncertain else None)
-    return _integrate(draws, batch.log_likelihood(torch.where(batch.mask, prediction, 0.0)).unflatten(0, count))
+    point = Point(draws.controls.repeat_interleave(count[1], 0), draws.nuisances.flatten(0, 1))
+    prediction = Posterior(fit.prior, batch, simulator).predict(point)
+    return _integrate(draws, batch.log_likelihood(prediction).unflatten(0, count))
 
 
 def _integrate(draws: _Draws, likelihood: Tensor) -> _Round:

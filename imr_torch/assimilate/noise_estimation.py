@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import torch
 
-from imr_torch.assimilate.en4dvar import assimilate
 from imr_torch.assimilate.fit import Assimilation, ModelFit
-from imr_torch.assimilate.options import EnsembleOptions
+from imr_torch.assimilate.map_fit import assimilate
+from imr_torch.assimilate.options import SearchOptions
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Noise, fit_noise
@@ -32,7 +32,7 @@ def assimilate_estimating_noise(
     *,
     rounds: int,
     seed: int,
-    options: EnsembleOptions | None = None,
+    options: SearchOptions | None = None,
     warn: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:
@@ -60,7 +60,7 @@ def assimilate_estimating_noise(
             f"Experiment {gaps[0]!r}: a repeat lacks frames that another has, so the noise cannot be estimated (it may be "
             "correlated); leave these frames out of all repeats, or give the noise."
         )
-    law, options = batch.noise, options or EnsembleOptions()
+    law, options = batch.noise, options or SearchOptions()
     coarse = replace(options, gradient=max(_GRADIENT, options.gradient), agreement=max(_AGREEMENT, options.agreement))
 
     def fit(batch: ExperimentBatch, number: int, near: Assimilation | None) -> Assimilation:

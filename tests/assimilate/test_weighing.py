@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import Assimilation, EnsembleOptions, Verdict, assimilate, weigh
+from imr_torch.assimilate import Assimilation, SearchOptions, Verdict, assimilate, weigh
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.observe import ExperimentBatch, Nuisance
 from tests.curved import CurvedSimulator, quadrature
 from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
 
-OPTIONS = EnsembleOptions(scouts=24)
+OPTIONS = SearchOptions(scouts=24)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 
@@ -184,9 +184,9 @@ def test_that_a_model_that_is_improbable_by_its_evidence_alone_gets_one_round() 
     both = assimilate(prior(("nhkv", "gen_qkv")), experiments(3), LinearSimulator(), seed=1, options=OPTIONS)
     assert abs(both["gen_qkv"].cost - both["nhkv"].cost) < 1.0
     tight = replace(both, fits=tuple(replace(fit, chol=0.7 * fit.chol) for fit in both.fits))
-    for hopeless, again in ((2.0, False), (4.0, True)):
+    for drop_behind, again in ((2.0, False), (4.0, True)):
         said: list[str] = []
-        weighed = weigh(tight, LinearSimulator(), seed=0, samples=256, hopeless=hopeless, progress=said.append)
+        weighed = weigh(tight, LinearSimulator(), seed=0, samples=256, drop_behind=drop_behind, progress=said.append)
         assert (weighed["gen_qkv"].sample.rounds > 1) == again
         assert weighed["nhkv"].sample.rounds > 1
         assert len(said) == max(fit.sample.rounds for fit in weighed.fits)
@@ -198,8 +198,8 @@ def test_that_later_rounds_draw_more_and_hopeless_models_get_one() -> None:
     gap = max(fit.cost for fit in both.fits) - min(fit.cost for fit in both.fits)
     poor = replace(both, fits=tuple(replace(fit, chol=0.02 * fit.chol) for fit in both.fits))
     best = min(poor.fits, key=lambda fit: fit.cost).model
-    for hopeless, expected in ((gap + 1.0, 2), (0.5 * gap, 1)):
-        weighed = weigh(poor, LinearSimulator(), seed=0, samples=32, hopeless=hopeless)
+    for drop_behind, expected in ((gap + 1.0, 2), (0.5 * gap, 1)):
+        weighed = weigh(poor, LinearSimulator(), seed=0, samples=32, drop_behind=drop_behind)
         behind = next(fit for fit in weighed.fits if fit.model != best)
         assert min(behind.sample.rounds, 2) == expected
         assert weighed[best].sample.rounds > 1

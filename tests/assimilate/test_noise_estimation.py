@@ -5,12 +5,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import EnsembleOptions, assimilate, assimilate_estimating_noise, unknown_noise
+from imr_torch.assimilate import SearchOptions, assimilate, assimilate_estimating_noise, noise_estimation
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Experiment, ExperimentBatch
 from tests.linear import NOISE, LinearSimulator, prior, tensor
 
-OPTIONS = EnsembleOptions(scouts=24, starts=2)
+OPTIONS = SearchOptions(scouts=24, starts=2)
 TIMES = torch.linspace(0.0, 2.0, 60, dtype=torch.float64)
 DESIGNS = ((200.0, 0.2), (500.0, 0.25), (900.0, 0.15))
 
@@ -73,11 +73,11 @@ def test_that_a_model_that_misses_the_data_has_its_misfit_for_noise() -> None:
 def test_that_only_the_last_fits_are_held_to_the_tolerances_and_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
-    def noted(*args, options: EnsembleOptions, warn: bool, **kwargs):
+    def noted(*args, options: SearchOptions, warn: bool, **kwargs):
         asked.append((options.gradient, options.agreement, warn))
         return assimilate(*args, options=options, warn=warn, **kwargs)
 
-    monkeypatch.setattr(unknown_noise, "assimilate", noted)
+    monkeypatch.setattr(noise_estimation, "assimilate", noted)
     found = fitted(filmed(3.0, 1), 2)
     assert found.converged
     assert [a[2] for a in asked] == [False, False, True]

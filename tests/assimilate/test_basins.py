@@ -1,4 +1,4 @@
-"""Valleys of the nuisances: the deepest is found at a fixed gel, and a search ends there whichever it began in."""
+"""Basins of the nuisances: the deepest is found at a fixed gel, and a search ends there whichever it began in."""
 
 from dataclasses import dataclass, field, replace
 
@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import EnsembleOptions, assimilate
-from imr_torch.assimilate.valleys import deeper_nuisances
+from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
+from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance, predict
 from imr_torch.simulate import EARLIEST, Conditions, Solution, Status, broadcast_batch
@@ -18,7 +18,7 @@ PERIOD = 0.3  # 1.5 prior standard deviations of time zero
 
 @dataclass(frozen=True)
 class WavySimulator:
-    """Radii linear in the gel and in R_inf*, with a damped wave in time on them, so that time zero has a valley in each period.
+    """Radii linear in the gel and in R_inf*, with a damped wave in time on them, so that time zero has a local minimum in each period.
 
     Args:
         fails: whether everything fails.
@@ -63,6 +63,12 @@ def shot(nuisance: Nuisance) -> ExperimentBatch:
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 
+def deepest(nuisances: Tensor, batch: ExperimentBatch, simulator: WavySimulator | None = None) -> Tensor:
+    """At the prior's mean gel."""
+    posterior = Posterior(prior(("nhkv",)).models[0], batch, simulator or WavySimulator())
+    return deeper_nuisances(posterior, Point(torch.zeros(len(nuisances), 2, dtype=torch.float64), nuisances))
+
+
 def off(periods: list[float], sd: float = 0.2) -> Tensor:
     """The true nuisances with clocks off by periods."""
     wrong = TRUTH.clone()
@@ -70,26 +76,25 @@ def off(periods: list[float], sd: float = 0.2) -> Tensor:
     return wrong
 
 
-def test_that_the_deepest_valley_of_each_experiment_is_found_and_a_right_one_kept() -> None:
-    batch, gel = shot(BOTH), prior(("nhkv",)).models[0]
-    parameters = gel.parameters(gel.mean)[None].expand(2, -1)
+def test_that_the_deepest_basin_of_each_experiment_is_found_and_a_right_one_kept() -> None:
+    batch = shot(BOTH)
     places = torch.stack((off([0.0, 0.0, 0.0]), off([1.0, 0.0, -1.0])))
-    found = deeper_nuisances(parameters, places, batch, WavySimulator())
+    found = deepest(places, batch)
     torch.testing.assert_close(found[:, :, 1], TRUTH[:, 1].expand(2, -1), rtol=0.0, atol=0.3)
     assert not torch.equal(found[1, ::2], places[1, ::2])
-    assert torch.equal(deeper_nuisances(parameters, found, batch, WavySimulator()), found)
+    assert torch.equal(deepest(found, batch), found)
 
 
-def test_that_valleys_are_found_where_a_scan_reaches_back_to_before_there_is_a_bubble() -> None:
-    batch, gel = shot(Nuisance(time_zero=0.4, rest_radius=0.3)), prior(("nhkv",)).models[0]
+def test_that_basins_are_found_where_a_scan_reaches_back_to_before_there_is_a_bubble() -> None:
+    batch = shot(Nuisance(time_zero=0.4, rest_radius=0.3))
     places = off([1.0, 0.0, -1.0], 0.4)[None]
     assert float(batch.times[:, 0].min() + 0.4 * (places[..., 1].min() - 3.0)) < EARLIEST
-    found = deeper_nuisances(gel.parameters(gel.mean)[None], places, batch, WavySimulator())
+    found = deepest(places, batch)
     torch.testing.assert_close(found[0, :, 1], TRUTH[:, 1], rtol=0.0, atol=0.15)
 
 
 def test_that_a_search_through_one_experiment_takes_some_seventy_bubbles() -> None:
-    batch, gel, counted = shot(BOTH), prior(("nhkv",)).models[0], []
+    batch, counted = shot(BOTH), []
     simulator = WavySimulator()
 
     def count(parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
@@ -100,46 +105,44 @@ def test_that_a_search_through_one_experiment_takes_some_seventy_bubbles() -> No
     class Counting(WavySimulator):
         __call__ = bundle = staticmethod(count)
 
-    deeper_nuisances(gel.parameters(gel.mean)[None], off([1.0, 0.0, -1.0])[None], batch, Counting())
+    deepest(off([1.0, 0.0, -1.0])[None], batch, Counting())
     assert sum(counted) <= 75 * 3
 
 
 def test_that_nothing_is_simulated_where_clocks_are_sure() -> None:
     batch = shot(Nuisance(rest_radius=0.3))
     places = torch.zeros(1, 3, 3, dtype=torch.float64)
-    assert deeper_nuisances(torch.zeros(1, len(PARAMETERS)), places, batch, lambda *_: pytest.fail("simulated")) is places
+    assert deepest(places, batch, lambda *_: pytest.fail("simulated")) is places
 
 
-def test_that_what_cannot_be_simulated_is_no_valley() -> None:
-    batch, gel = shot(BOTH), prior(("nhkv",)).models[0]
+def test_that_what_cannot_be_simulated_is_no_basin() -> None:
     places = off([1.0, 0.0, 0.0])[None]
-    parameters = gel.parameters(gel.mean)[None]
-    assert torch.equal(deeper_nuisances(parameters, places, batch, WavySimulator(fails=True)), places)
+    assert torch.equal(deepest(places, shot(BOTH), WavySimulator(fails=True)), places)
 
 
-@pytest.mark.parametrize("hopeless", [None, 50.0])
-def test_that_a_search_ends_in_the_deepest_valley_wherever_it_began(hopeless: float | None) -> None:
-    batch, belief, options = shot(BOTH), prior(("newtonian", "nhkv")), EnsembleOptions(starts=2, hopeless=hopeless)
+@pytest.mark.parametrize("drop_behind", [None, 50.0])
+def test_that_a_search_ends_in_the_deepest_basin_wherever_it_began(drop_behind: float | None) -> None:
+    batch, belief, options = shot(BOTH), prior(("newtonian", "nhkv")), SearchOptions(starts=2, drop_behind=drop_behind)
     starts = [torch.stack((torch.zeros(k), torch.full((k,), 0.1))).double() for k in (1, 2)]
 
-    def fit(periods: list[float], descents: int = 3):
+    def fit(periods: list[float], rounds: int = 3):
         nuisances = [off(periods)] * 2
         return assimilate(
             belief,
             batch,
             WavySimulator(),
             seed=0,
-            options=replace(options, descents=descents),
+            options=replace(options, basin_rounds=rounds),
             starts=starts,
             nuisances=nuisances,
             warn=False,
         )
 
     right, mended = fit([0.0, 0.0, 0.0]), fit([1.0, 0.0, -1.0])
-    wrong = fit([1.0, 0.0, -1.0], descents=0)
+    wrong = fit([1.0, 0.0, -1.0], rounds=0)
     assert right.converged
     assert mended.converged
-    assert wrong.converged  # its starts agree: that certificate says nothing of other valleys
+    assert wrong.converged  # its starts agree: that certificate says nothing of other basins
     assert wrong["nhkv"].cost > right["nhkv"].cost + 5.0
     assert mended["nhkv"].cost == pytest.approx(right["nhkv"].cost, abs=1e-4)
     torch.testing.assert_close(mended["nhkv"].mean, right["nhkv"].mean, rtol=0.0, atol=1e-2)

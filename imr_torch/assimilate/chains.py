@@ -1,0 +1,152 @@
+"""The state of a search: where each of its chains stands, what is known there, and which of them are under way.
+
+Steps of a search (:mod:`~imr_torch.assimilate.descent`, :mod:`~imr_torch.assimilate.multistart`,
+:mod:`~imr_torch.assimilate.basins`, :mod:`~imr_torch.assimilate.polish`) take a state and return another; none is changed in
+place.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate.gauss_newton import NormalEquations
+from imr_torch.assimilate.masking import Masked
+from imr_torch.assimilate.posterior import Neighbourhood, Point, Posterior
+
+_DAMPING = 1e-2
+
+
+@dataclass(frozen=True)
+class Chains:
+    """``C`` chains, each on its way to a local minimum of the cost, the negative log of one posterior.
+
+    Args:
+        posterior: of one model.
+        masked: the same without the frames next to collapses.
+        point: ``C`` points, where the chains stand.
+        cost: ``C`` tensor, nats; infinite where a bubble fails.
+        aim: ``C`` tensor, what a chain lowers: the cost, or that of the frames that are not masked.
+        begun: ``C`` tensor, the cost at the start.
+        masking: ``C`` booleans, whether a chain leaves the masked frames out.
+        leading: ``C`` booleans, whether a chain has a leader, whose solver steps all its bubbles take.
+        leader: ``C`` points.
+        damping: ``C`` tensor, of Levenberg and Marquardt.
+        scale: ``C x d x d`` tensor, Cholesky factors of the gel's posterior covariance as the last linearisation has it.
+        gradient: ``C`` tensor, length of the gradient in posterior standard deviations.
+        iterations: ``C`` integers.
+        finished: ``C`` booleans.
+        around: per chain what was simulated about where it stands; None where nothing was.
+        equations: per chain the last linearisation.
+        restarts: how often chains were sent out again.
+        simulated: bubbles of neighbourhoods so far, and how many of them failed.
+        failed: see ``simulated``.
+    """
+
+    posterior: Posterior
+    masked: Masked
+    point: Point
+    cost: Tensor
+    aim: Tensor
+    begun: Tensor
+    masking: Tensor
+    leading: Tensor
+    leader: Point
+    damping: Tensor
+    scale: Tensor
+    gradient: Tensor
+    iterations: Tensor
+    finished: Tensor
+    around: tuple[Neighbourhood | None, ...]
+    equations: tuple[NormalEquations | None, ...]
+    restarts: int = 0
+    simulated: int = 0
+    failed: int = 0
+
+    @classmethod
+    def at(cls, posterior: Posterior, point: Point, *, masking: bool) -> "Chains":
+        """Chains that set out from ``C`` points; those that cannot be simulated there are finished.
+
+        Args:
+            posterior: what they search.
+            point: where they begin.
+            masking: whether frames next to collapses are left out at first.
+        """
+        cost, count = -posterior.log_joint(point), len(point.gel)
+        masked, numbers = Masked.of(posterior), torch.zeros(count, dtype=torch.float64)
+        return cls(
+            posterior=posterior,
+            masked=masked,
+            point=point,
+            cost=cost,
+            aim=cost,
+            begun=cost,
+            masking=torch.full((count,), masking and masked.useful),
+            leading=torch.zeros(count, dtype=torch.bool),
+            leader=point,
+            damping=numbers + _DAMPING,
+            scale=0.5 * torch.eye(posterior.size, dtype=torch.float64).repeat(count, 1, 1),
+            gradient=numbers + torch.inf,
+            iterations=torch.zeros(count, dtype=torch.long),
+            finished=~torch.isfinite(cost),
+            around=(None,) * count,
+            equations=(None,) * count,
+        )
+
+    def __len__(self) -> int:
+        return len(self.cost)
+
+    @property
+    def active(self) -> Tensor:
+        """Indices of the chains that are under way."""
+        return torch.nonzero(~self.finished)[:, 0]
+
+    @property
+    def ranked(self) -> Tensor:
+        """Indices of all chains, lowest cost first."""
+        return torch.argsort(self.cost)
+
+    @property
+    def lowest(self) -> float:
+        """The lowest cost."""
+        return float(self.cost.min())
+
+    def put(self, rows: Tensor, **values: Any) -> "Chains":
+        """The state with values of some chains replaced: a tensor, a :class:`Point`, or one value for all of them."""
+        changed: dict[str, Any] = {}
+        for name, value in values.items():
+            old = getattr(self, name)
+            if isinstance(old, Point):
+                changed[name] = old.put(rows, value)
+            elif isinstance(old, tuple):
+                new = dict(zip(rows.tolist(), value, strict=True)) if value is not None else dict.fromkeys(rows.tolist())
+                changed[name] = tuple(new.get(i, entry) for i, entry in enumerate(old))
+            else:
+                changed[name] = old.index_put((rows,), torch.as_tensor(value, dtype=old.dtype))
+        return replace(self, **changed)
+
+    def sent(self, rows: Tensor, point: Point) -> "Chains":
+        """With some chains sent out anew from other points."""
+        cost = -self.posterior.log_joint(point)
+        return self.put(
+            rows,
+            point=point,
+            cost=cost,
+            finished=~torch.isfinite(cost),
+            leading=False,
+            masking=False,
+            damping=_DAMPING,
+            around=None,
+        )
+
+    def near(self, rows: Tensor) -> Neighbourhood:
+        """What was simulated about some chains."""
+        known = [self.around[row] for row in rows.tolist()]
+        return Neighbourhood.stack([n for n in known if n is not None])
+
+
+def lowest_cost(searches: Sequence[Chains]) -> float:
+    """The lowest cost of several searches, one a model."""
+    return min(chains.lowest for chains in searches)

@@ -1,0 +1,174 @@
+"""One Gauss-Newton iteration of chains: linearise where each stands, and try a damped step.
+
+Near a minimum a chain gets a *leader*, the point whose solver steps all its bubbles take: the cost is then a smooth function,
+equal to itself from iteration to iteration and between chains, where solves that each choose their own steps differ by some
+1e-4 in R*. Steps are those of Levenberg and Marquardt, several dampings where the first does not do what it promises, and are
+taken only if they lower the exact cost. Which chains are under way is decided elsewhere
+(:mod:`imr_torch.assimilate.multistart`).
+"""
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate.chains import Chains
+from imr_torch.assimilate.gauss_newton import NormalEquations
+from imr_torch.assimilate.options import SearchOptions
+from imr_torch.assimilate.posterior import Point
+
+NEAR = 1.0
+"""Posterior standard deviations from a minimum at which a chain gets a leader, and another start may set out."""
+
+_DAMPINGS = (0.0, 1.0, 30.0)  # times the current damping; the others where the first does not do what it promises
+_KEPT = 0.5  # share of the promised decrease of the cost with which a step is taken without trying others
+_STUCK = 1e4  # damping at which nothing lowers the cost any more
+_LONGEST_STEP = 4.0  # prior standard deviations
+
+
+def iterate(chains: Chains, options: SearchOptions) -> Chains:
+    """One iteration of the chains that are under way."""
+    chains = _explored(chains)
+    rows = chains.active
+    if not rows.numel():
+        return chains
+    chains, equations = _linearised(chains, rows)
+    arrived = chains.masking[rows] & (equations.whitened_gradient < NEAR)
+    if bool(arrived.any()):
+        chains, equations = _linearised(chains.put(rows[arrived], masking=False), rows)
+    gradient = equations.whitened_gradient
+    chains = chains.put(
+        rows,
+        gradient=gradient,
+        scale=equations.posterior_chol,
+        iterations=chains.iterations[rows] + 1,
+        equations=[equations[row] for row in range(len(rows))],
+        finished=(gradient < options.gradient) & chains.leading[rows],
+    )
+    moving = torch.nonzero(~chains.finished[rows])[:, 0]
+    if moving.numel():
+        chains = _led(_stepped(chains, rows[moving], equations[moving], options), rows[moving])
+    return chains
+
+
+def predict_led(chains: Chains, rows: Tensor, point: Point) -> Tensor:
+    """Predictions ``C x N x E x T`` of ``N`` points of each of some chains, behind its leader or, without one, each alone."""
+    leading, posterior = chains.leading[rows], chains.posterior
+    made = torch.empty(*point.gel.shape[:2], *posterior.batch.mask.shape, dtype=torch.float64)
+    if not bool(leading.all()):
+        made[~leading] = posterior.predict(point[~leading])
+    if bool(leading.any()):
+        leader, others = chains.leader[rows[leading]], point[leading]
+        gel = torch.cat((leader.gel[:, None], others.gel), 1)
+        nuisances = torch.cat((leader.nuisances[:, None], others.nuisances), 1)
+        made[leading] = posterior.predict(Point(gel, nuisances), bundled=True)[:, 1:]
+    return made
+
+
+def _explored(chains: Chains) -> Chains:
+    """With the neighbourhoods of all active chains simulated.
+
+    Where rounding decides whether a bubble can be simulated at all, one that could may be lost; its chain ends there.
+    """
+    unknown = torch.tensor([row for row in chains.active.tolist() if chains.around[row] is None], dtype=torch.long)
+    chains = _looked_around(chains, unknown) if unknown.numel() else chains
+    rows = chains.active
+    if not rows.numel():
+        return chains
+    lost = rows[torch.isinf(chains.near(rows).log_joint)]
+    return chains.put(lost, finished=True, cost=math.inf)
+
+
+def _looked_around(chains: Chains, rows: Tensor) -> Chains:
+    """With the neighbourhoods of some chains simulated; one whose bubbles cannot follow its leader's goes without a leader."""
+    for leading in (False, True):
+        some = rows[chains.leading[rows] == leading]
+        if some.numel():
+            leader = chains.leader[some] if leading else None
+            made = chains.posterior.neighbourhood(chains.point[some], chains.scale[some], leader=leader)
+            chains = chains.put(some, around=[made[row] for row in range(len(some))])
+    lost = rows[torch.isinf(chains.near(rows).log_joint) & chains.leading[rows]]
+    return _looked_around(chains.put(lost, leading=False), lost) if lost.numel() else chains
+
+
+def _linearised(chains: Chains, rows: Tensor) -> tuple[Chains, NormalEquations]:
+    """Costs and normal equations of some chains at their points, each behind its leader."""
+    near, masking = chains.near(rows), chains.masking[rows]
+    chains = replace(
+        chains,
+        simulated=chains.simulated + near.prediction[..., 0].numel(),
+        failed=chains.failed + int((~torch.isfinite(near.prediction)).any(-1).sum()),
+    )
+    aim, cost = _aim(chains, rows, near.point, near.centre)
+    chains, whole = chains.put(rows, aim=aim, cost=cost), near.equations
+    if not bool(masking.any()):
+        return chains, whole
+    return chains, chains.masked.neighbourhood(near).equations.where(masking, whole)
+
+
+def _aim(chains: Chains, rows: Tensor, point: Point, prediction: Tensor) -> tuple[Tensor, Tensor]:
+    """What some chains lower, and the cost, at points whose leading dimension is that of the chains."""
+    cost, masking = -chains.posterior.log_joint(point, prediction), chains.masking[rows]
+    if not bool(masking.any()):
+        return cost, cost
+    fewer = -chains.masked.posterior.log_joint(point, chains.masked.seen(prediction))
+    fewer = torch.where(torch.isfinite(cost), fewer, torch.inf)  # a bubble may fail after the frames that are kept
+    return torch.where(masking.view(-1, *[1] * (cost.ndim - 1)), fewer, cost), cost
+
+
+def _stepped(chains: Chains, rows: Tensor, equations: NormalEquations, options: SearchOptions) -> Chains:
+    """Try steps of several dampings; take the best if it lowers what the chain lowers."""
+    tried = torch.tensor(_DAMPINGS, dtype=torch.float64) * chains.damping[rows, None]
+    steps = [equations.step(tried[:, i]) for i in range(len(_DAMPINGS))]
+    gel_step, nuisance_step = (torch.stack(parts, dim=1) for parts in zip(*steps, strict=True))
+    shorter = (_LONGEST_STEP / gel_step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)
+    own = chains.point[rows]
+    point = Point(own.gel[:, None] + shorter * gel_step, own.nuisances[:, None] + shorter[..., None] * nuisance_step)
+    aim, cost = (torch.full(tried.shape, torch.inf, dtype=torch.float64) for _ in range(2))
+    aim[:, :1], cost[:, :1] = _tried(chains, rows, point[:, :1])
+    poor = aim[:, 0] > chains.aim[rows] - _KEPT * 0.5 * chains.gradient[rows].square()
+    if bool(poor.any()):
+        aim[poor, 1:], cost[poor, 1:] = _tried(chains, rows[poor], point[poor][:, 1:])
+    best, which = aim.min(dim=1)
+    better = best < chains.aim[rows] - 0.01 * options.gradient**2  # a fiftieth of what the tolerance leaves
+    kept, at = rows[better], (torch.nonzero(better)[:, 0], which[better])
+    eased = chains.damping[kept] * torch.tensor(_DAMPINGS, dtype=torch.float64)[which[better]]
+    damping = torch.where(eased > 0.0, 0.3 * eased, 0.1 * chains.damping[kept]).clamp(1e-6, 1e6)
+    chains = chains.put(kept, point=point[at], cost=cost[at], around=None, damping=damping)
+    return _unstuck(chains, rows[~better])
+
+
+def _tried(chains: Chains, rows: Tensor, point: Point) -> tuple[Tensor, Tensor]:
+    """What some chains lower, and the cost, at ``N`` points of each: two ``C x N`` tensors."""
+    return _aim(chains, rows, point, predict_led(chains, rows, point))
+
+
+def _unstuck(chains: Chains, rows: Tensor) -> Chains:
+    """Damp chains that found no better point; then give them a leader, which smooths their cost; then end them."""
+    chains = chains.put(rows, damping=chains.damping[rows] * 100.0)
+    stuck = rows[chains.damping[rows] > _STUCK]
+    chains = chains.put(stuck, finished=chains.leading[stuck])
+    chains = _follow_oneself(chains, stuck[~chains.masking[stuck]])
+    return chains.put(stuck, masking=False, damping=1e-2)
+
+
+def _follow_oneself(chains: Chains, rows: Tensor) -> Chains:
+    """Make the current points of chains their leaders."""
+    chains = chains.put(rows[chains.leading[rows]], around=None)  # one without a leader has led its own neighbourhood all along
+    return chains.put(rows, leading=True, leader=chains.point[rows])
+
+
+def _led(chains: Chains, rows: Tensor) -> Chains:
+    """Near a minimum a chain takes the leader of another that is there already, or its own point, until it moves away."""
+    close_to_one = chains.leading[rows] | (chains.gradient[rows] < NEAR) & ~chains.masking[rows]
+    for row in rows[close_to_one].tolist():
+        others = torch.nonzero(chains.leading)[:, 0]
+        gaps = (chains.leader.gel[others] - chains.point.gel[row]).mT
+        distance = torch.linalg.solve_triangular(chains.scale[row], gaps, upper=False).norm(dim=0)
+        close, this = others[distance < NEAR], torch.tensor([row])
+        if not close.numel():
+            chains = _follow_oneself(chains, this)
+        elif not (close == row).any():
+            chains = chains.put(this, around=None, leading=True, leader=chains.leader[close[:1]])
+    return chains

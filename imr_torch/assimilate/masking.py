@@ -1,0 +1,61 @@
+"""A posterior without the frames next to collapses, in which a search does not meet the local minima that these make.
+
+At a collapse R(t) has a cusp, so a frame next to it sees the same radius before the collapse and after. A model whose collapse
+lies on the wrong side of such a frame has a local minimum there, a hundredth of the prior's width from the right one and tens
+of nats above it. Without those frames it has none. Searches begin without them and take them back near a minimum.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate.posterior import Neighbourhood, Posterior
+from imr_torch.observe import ExperimentBatch, collapse_time
+
+
+@dataclass(frozen=True)
+class Masked:
+    """A posterior at the frames that are not next to a collapse.
+
+    Args:
+        posterior: of these frames.
+        frames: ``E x T'`` integer tensor, which of all frames they are.
+        useful: whether any frame is left out.
+    """
+
+    posterior: Posterior
+    frames: Tensor
+    useful: bool
+
+    @classmethod
+    def of(cls, posterior: Posterior) -> "Masked":
+        """The posterior of all frames, without those next to collapses."""
+        batch = posterior.batch
+        kept = [away_from_collapses(e.times, e.mean) for e in batch.experiments]
+        fewer = ExperimentBatch(tuple(e.at(k) for e, k in zip(batch.experiments, kept, strict=True)), batch.noise)
+        frames = torch.nn.utils.rnn.pad_sequence([torch.nonzero(k)[:, 0] for k in kept], batch_first=True)
+        return cls(replace(posterior, batch=fewer), frames, not all(bool(k.all()) for k in kept))
+
+    def seen(self, prediction: Tensor) -> Tensor:
+        """Predictions ``batch_shape x E x T`` of all frames at those that are kept."""
+        kept = prediction.gather(-1, self.frames.expand(*prediction.shape[:-1], -1))
+        return torch.where(self.posterior.batch.mask, kept, 0.0)
+
+    def neighbourhood(self, whole: Neighbourhood) -> Neighbourhood:
+        """The neighbourhood of the posterior of all frames, as this one has it."""
+        return replace(whole, posterior=self.posterior, prediction=self.seen(whole.prediction))
+
+
+def away_from_collapses(times: Tensor, radius: Tensor) -> Tensor:
+    """Frames that are neither a minimum nor next to one (the record may end at one); all, if those are less than half."""
+    times = torch.cat((times, times[-1:] + 1.0))
+    radius = torch.cat((radius, radius.amax(0, keepdim=True)))
+    keep, number = torch.ones_like(times, dtype=torch.bool), 1
+    while (at := collapse_time(times, radius, number)) < math.inf:
+        frame = int(torch.nonzero(times == at))
+        keep[max(1, frame - 1) : frame + 2] = False
+        number += 1
+    keep = keep[:-1]
+    return keep if 2 * int(keep.sum()) >= len(keep) else torch.ones_like(keep)

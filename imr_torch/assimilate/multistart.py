@@ -1,0 +1,130 @@
+"""Which chains of a search are under way: who sets out, who is dropped, and who is sent out again.
+
+Two starts of a model must agree before its minimum is believed. Where several models are compared
+(``SearchOptions.drop_behind``) most fall far behind long before that matters, and their chains are dropped. Each function
+takes the states of the searches, one a model, between two iterations, and returns new ones.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate.basins import deeper_nuisances
+from imr_torch.assimilate.chains import Chains, lowest_cost
+from imr_torch.assimilate.descent import NEAR
+from imr_torch.assimilate.fit import ALL_BUT, PROMISED
+from imr_torch.assimilate.options import SearchOptions
+from imr_torch.assimilate.posterior import Point
+from imr_torch.assimilate.starts import around
+
+Searches = list[Chains]
+
+_AWAY = (10.0, 3.0)  # posterior standard deviations by which a first and a second restart are away
+_FAIR = 0.2  # share of the largest decrease of the cost from which a model with several minima is given all its starts
+_FAR_BEHIND = 200.0  # nats between minima that no other basin of the nuisances is likely to make up for
+_RESERVE = 10.0  # times ``drop_behind`` by which a model may lag and still have its other starts sent out
+
+
+def hold_back(searches: Searches, options: SearchOptions) -> Searches:
+    """Where models are compared, only the best start of each sets out; the others wait until it is near a minimum."""
+    if options.drop_behind is None:
+        return searches
+    return [chains.put(chains.ranked[1:], finished=True) for chains in searches]
+
+
+def referee(searches: Searches, options: SearchOptions, source: torch.Generator) -> Searches:
+    """After an iteration: drop chains that lag, end those that need not go on, and send others out."""
+    searches = [_settled(chains, options) for chains in _dropped(searches, options)]
+    for number in range(len(searches)):
+        searches[number] = _restarted(searches, number, options, source)
+    return searches
+
+
+def enter_deeper_basins(searches: Searches, options: SearchOptions, source: torch.Generator) -> tuple[Searches, bool]:
+    """Send models out again whose nuisances have a deeper basin where they ended, and say whether any has.
+
+    Two starts set out, from the best and from beside it. Models far behind are not looked at.
+    """
+    reach = _FAR_BEHIND if options.drop_behind is None else min(options.drop_behind, _FAR_BEHIND)
+    far, any_moved, result = lowest_cost(searches) + reach, False, []
+    for chains in searches:
+        best = chains.ranked[:1]
+        if not bool(chains.cost[best] < far):
+            result.append(chains)
+            continue
+        here = chains.point[best]
+        deeper = deeper_nuisances(chains.posterior, here)
+        if torch.equal(deeper, here.nuisances):
+            result.append(chains)
+            continue
+        any_moved, rows = True, chains.ranked[:2]
+        gels = torch.cat((here.gel, _beside(chains, int(best), _AWAY[0], 1, source)))
+        chains = chains.sent(rows, Point(gels, deeper.expand(len(rows), -1, -1)))
+        result.append(replace(chains, restarts=0))
+    return result, any_moved
+
+
+def _dropped(searches: Searches, options: SearchOptions) -> Searches:
+    """End chains that the lowest of all models has left behind."""
+    if options.drop_behind is None:
+        return searches
+    limit = lowest_cost(searches) + options.drop_behind
+    result = []
+    for chains in searches:
+        reached = chains.cost - PROMISED * chains.gradient.clamp_max(1e6).square()
+        lagging = torch.nonzero((reached > limit) & ~chains.masking)[:, 0]
+        result.append(chains.put(lagging, finished=True))
+    return result
+
+
+def _settled(chains: Chains, options: SearchOptions) -> Chains:
+    """End the other starts of a model once its best one has converged and a second is all but there, at the same cost."""
+    agree = (chains.cost < chains.cost.min() + options.agreement) & ~chains.masking
+    sure = agree & (chains.gradient < options.gradient) & chains.finished
+    near = agree & (chains.gradient < max(ALL_BUT, options.gradient))
+    if bool(sure.any()) and int(near.sum()) >= 2 and not _several(chains, options):
+        return chains.put(torch.arange(len(chains)), finished=True)
+    return chains
+
+
+def _restarted(searches: Sequence[Chains], number: int, options: SearchOptions, source: torch.Generator) -> Chains:
+    """Send starts out that were held back; where starts disagree, search again near the best point, then nearer."""
+    chains = searches[number]
+    rows, several = chains.ranked, _several(chains, options)
+    apart = rows[chains.cost[rows] > chains.cost[rows[0]] + options.agreement]
+    fresh = apart[(chains.iterations[apart] == 0) & torch.isfinite(chains.cost[apart])]
+    if len(rows) - len(apart) >= 2 and not (len(fresh) and several):
+        return chains
+    behind = chains.lowest - lowest_cost(searches)
+    lags = _lags(behind, options, _RESERVE) and not (several and _promising(chains, searches))
+    if len(fresh) and bool((chains.finished | (chains.gradient < NEAR)).all()) and not lags:
+        return chains.put(fresh, finished=False)
+    if not bool(chains.finished.all()) or chains.restarts == len(_AWAY) or _lags(behind, options, 1.0):
+        return chains
+    gels = _beside(chains, int(rows[0]), _AWAY[chains.restarts], len(apart), source)
+    point = Point(gels, chains.point.nuisances[rows[0]].expand(len(apart), -1, -1))
+    return replace(chains.sent(apart, point), restarts=chains.restarts + 1)
+
+
+def _lags(behind: float, options: SearchOptions, times: float) -> bool:
+    """Whether a model is behind the best one by more than so many times ``drop_behind``."""
+    return options.drop_behind is not None and behind > times * options.drop_behind
+
+
+def _several(chains: Chains, options: SearchOptions) -> bool:
+    """Whether a model among others was given starts for several minima: that two of them agree says little of the others."""
+    return options.drop_behind is not None and len(chains) > 2
+
+
+def _promising(chains: Chains, searches: Sequence[Chains]) -> bool:
+    """Whether the best chain of a model lowered its cost by a fair share of what the best one of all did."""
+    gained = [float((c.begun - c.cost).nan_to_num(0.0).max()) for c in searches]
+    best = chains.ranked[0]
+    return float((chains.begun - chains.cost)[best].nan_to_num(0.0)) >= _FAIR * max(gained)
+
+
+def _beside(chains: Chains, row: int, away: float, count: int, source: torch.Generator) -> Tensor:
+    """``count x d`` gels about a chain's, so many posterior standard deviations away."""
+    return chains.point.gel[row] + torch.stack([around(chains.scale[row], source, away) for _ in range(count)])

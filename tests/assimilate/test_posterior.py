@@ -1,0 +1,121 @@
+"""The posterior of one model: its density, its slopes and its normal equations, against closed forms and other differences."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import Neighbourhood, Point, Posterior
+from imr_torch.observe import ExperimentBatch, Nuisance, predict
+from imr_torch.random import generator
+from imr_torch.simulate import PolytropicSimulator, TransportSimulator
+from tests.linear import CORRELATED, MEANS, NOISE, SDS, LinearSimulator, exact, experiments, prior, tensor
+
+BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
+ALL = Nuisance(max_radius=0.01, time_zero=0.02, rest_radius=0.05)
+
+
+def linear(batch: ExperimentBatch, **how) -> Posterior:
+    return Posterior(prior(("nhkv",)).models[0], batch, LinearSimulator(**how))
+
+
+def points(posterior: Posterior, count: int) -> Point:
+    source = generator(0)
+    gel = 0.3 * torch.randn(count, posterior.size, generator=source, dtype=torch.float64)
+    nuisances = torch.randn(*posterior.still(count).shape, generator=source, dtype=torch.float64)
+    return Point(gel, nuisances * (posterior.batch.nuisance_sds > 0.0))
+
+
+@pytest.mark.parametrize("noise", [NOISE, CORRELATED], ids=["independent", "correlated"])
+def test_that_the_log_joint_is_likelihood_times_priors(noise) -> None:
+    posterior = linear(experiments(3, nuisance=BOTH, noise=noise))
+    point, batch = points(posterior, 4), posterior.batch
+    prediction = predict(posterior.simulator, posterior.to_si(point.gel), batch, point.nuisances * batch.nuisance_sds)
+    normal = torch.distributions.Normal(tensor(0.0), tensor(1.0))
+    constants = (point.gel[0].numel() + point.nuisances[0].numel()) * float(normal.log_prob(tensor(0.0)))
+    priors = normal.log_prob(point.gel).sum(-1) + normal.log_prob(point.nuisances).sum((-2, -1))
+    torch.testing.assert_close(posterior.log_joint(point), batch.log_likelihood(prediction).sum(-1) + priors - constants)
+
+
+def test_that_whitened_coordinates_are_standard_deviations_of_the_prior() -> None:
+    posterior = linear(experiments(1))
+    assert posterior.to_si(tensor(0.0, 0.0))[:2].tolist() == pytest.approx([MEANS["G"], MEANS["mu"]])
+    assert float(posterior.to_si(tensor(1.0, 0.0))[0]) == pytest.approx(MEANS["G"] + SDS["G"])
+
+
+def test_that_a_newton_step_from_anywhere_ends_at_the_exact_posterior_of_a_linear_simulator() -> None:
+    posterior = linear(experiments(3, nuisance=BOTH, noise=CORRELATED))
+    truth = exact(posterior.prior, posterior.batch)
+    point = points(posterior, 4)
+    equations = posterior.linearise(point)
+    gel, nuisances = equations.step(torch.zeros(4, dtype=torch.float64))
+    torch.testing.assert_close(point.gel + gel, truth.mean.expand(4, -1), rtol=0.0, atol=1e-6)
+    torch.testing.assert_close(point.nuisances + nuisances, truth.nuisances.expand(4, -1, -1), rtol=0.0, atol=1e-6)
+    covariance = equations.posterior_chol @ equations.posterior_chol.mT
+    torch.testing.assert_close(covariance, truth.covariance.expand(4, -1, -1), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("simulator", [PolytropicSimulator(), TransportSimulator()], ids=["polytropic", "transport"])
+def test_that_the_gradient_is_that_of_the_log_joint(simulator) -> None:
+    """Against wide central differences, each with the solver steps of the point, along random directions."""
+    batch = experiments(2, nuisance=ALL)
+    batch = ExperimentBatch(tuple(replace(e, radius=e.radius.clamp(0.1, 0.9)) for e in batch.experiments), NOISE)
+    posterior = replace(linear(batch), simulator=simulator)
+    point = points(posterior, 1)[0]
+    equations, source = posterior.linearise(point), generator(1)
+    for _ in range(3):
+        way = Point(*(torch.randn(x.shape, generator=source, dtype=torch.float64) for x in (point.gel, point.nuisances)))
+        expected = (equations.gel_gradient * way.gel).sum() + (equations.nuisance_gradient * way.nuisances).sum()
+        lengths = 1e-4 * tensor(0.0, 1.0, -1.0)
+        line = Point(point.gel + lengths[:, None] * way.gel, point.nuisances + lengths[:, None, None] * way.nuisances)
+        cost = -posterior.log_joint(line, posterior.predict(line, bundled=True))
+        assert float(cost[1] - cost[2]) / 2e-4 == pytest.approx(float(expected), rel=1e-3, abs=1e-3)
+
+
+def test_that_slopes_are_the_same_in_any_scale_and_behind_any_leader() -> None:
+    posterior = linear(experiments(3, nuisance=BOTH))
+    point, other = points(posterior, 2), points(posterior, 3)[1:]
+    plain = posterior.neighbourhood(point)
+    turned = torch.tensor([[0.2, 0.5], [-0.1, 0.4]], dtype=torch.float64).expand(2, 2, 2)
+    for near in (posterior.neighbourhood(point, turned), posterior.neighbourhood(point, leader=other)):
+        for one, two in zip(plain.slopes, near.slopes, strict=True):
+            torch.testing.assert_close(one, two, rtol=1e-6, atol=1e-8)
+
+
+def test_that_a_neighbour_that_fails_tells_nothing_and_the_others_do() -> None:
+    """A simulator that fails just above the point in G: the slope in mu stays."""
+    batch = experiments(3, nuisance=BOTH)
+    point = Point(tensor(0.0, 0.0), linear(batch).still())
+    whole = linear(batch).neighbourhood(point).slopes
+    limited = linear(batch, limit={"G": MEANS["G"] + 1e-9 * SDS["G"]}).neighbourhood(point)
+    assert bool(limited.prediction[1][batch.mask].isnan().all())
+    assert float(limited.slopes[0][..., 0].abs().max()) == 0.0
+    torch.testing.assert_close(limited.slopes[0][..., 1], whole[0][..., 1], rtol=1e-6, atol=1e-9)
+    torch.testing.assert_close(limited.slopes[1], whole[1], rtol=1e-6, atol=1e-9)
+    assert bool(torch.isfinite(limited.equations.gel_hessian).all())
+
+
+def test_that_where_the_bubble_itself_fails_the_log_joint_is_minus_infinity() -> None:
+    posterior = linear(experiments(2), fails=True)
+    assert float(posterior.log_joint(Point(tensor(0.0, 0.0), posterior.still()))) == -torch.inf
+
+
+def test_that_neighbourhoods_stack_and_part_again() -> None:
+    posterior = linear(experiments(3, nuisance=BOTH))
+    whole = posterior.neighbourhood(points(posterior, 3))
+    again = Neighbourhood.stack([whole[i] for i in range(3)])
+    torch.testing.assert_close(again.log_joint, whole.log_joint, rtol=0.0, atol=0.0)
+    for name in ("gel_gradient", "gel_hessian", "nuisance_hessian", "cross"):
+        torch.testing.assert_close(getattr(again.equations, name), getattr(whole.equations, name))
+
+
+def test_that_certain_nuisances_are_not_simulated() -> None:
+    posterior = linear(experiments(2))
+    near = posterior.neighbourhood(points(posterior, 1))
+    assert near.prediction.shape[1] == 1 + posterior.size
+    assert_zero(near.slopes[1])
+
+
+def assert_zero(values: Tensor) -> None:
+    assert float(values.abs().max()) == 0.0
