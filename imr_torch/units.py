@@ -6,6 +6,7 @@ fixes ``Rmax``, so a design is the pair ``(We, R_inf* = R_inf / Rmax)``.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 from torch import Tensor
@@ -38,7 +39,7 @@ class Surroundings:
             if not 0.0 < value < float("inf"):
                 raise InputDataError(f"Surroundings.{name} is {value}; it must be a positive finite number in SI units.")
 
-    @property
+    @cached_property
     def velocity_scale(self) -> float:
         """``U_c`` in m/s."""
         return (self.far_field_pressure / self.density) ** 0.5

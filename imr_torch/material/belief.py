@@ -83,12 +83,12 @@ class ModelBelief:
                 f"Model {self.model!r}: mean must be finite and the diagonal of chol positive, with chol lower triangular."
             )
 
-    @property
+    @cached_property
     def material(self) -> Material:
         """The constitutive model."""
         return material(self.model)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Free parameters."""
         return self.material.free

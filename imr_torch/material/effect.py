@@ -9,6 +9,7 @@ through :mod:`imr_torch.observe.distortion`. A user adds an effect by registerin
 import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 from imr_torch.elementary import Law, has_compiled_form
@@ -88,12 +89,12 @@ class Effect:
         """The class that it is reported with: its group, or itself."""
         return self.group or self.name
 
-    @property
+    @cached_property
     def physical(self) -> bool:
         """Whether it acts on the bubble by a law of its own."""
         return any(law is not None for law in (self.setting, self.gas_loss, self.vapour, self.far_field))
 
-    @property
+    @cached_property
     def compilable(self) -> bool:
         """Whether the laws that are evaluated at every step are written with :mod:`imr_torch.elementary`."""
         return all(law is None or has_compiled_form(law) for law in (self.gas_loss, self.vapour, self.far_field))

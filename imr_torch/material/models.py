@@ -4,6 +4,7 @@ To add a model, subclass :class:`Material` in one file, name its terms, and regi
 """
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 from torch import Tensor
 
@@ -33,13 +34,13 @@ class Material:
     terms: tuple[StressTerm, ...]
     known: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """All parameters that the model reads, in the order of the parameter vector."""
         used = {name for term in self.terms for name in term.names}
         return tuple(name for name in PARAMETERS.names if name in used)
 
-    @property
+    @cached_property
     def free(self) -> tuple[str, ...]:
         """The parameters that are inferred: ``names`` without ``known``."""
         return tuple(name for name in self.names if name not in self.known)
@@ -207,7 +208,7 @@ class Extended(Material):
         self.reference, self.known = base.reference, base.known
         self.terms = (*base.terms, *(term for term in TERMS if term.switch in extra))
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """See :class:`Material`."""
         used = {*self.base.names, *self.extra}

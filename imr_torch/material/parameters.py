@@ -65,6 +65,7 @@ class ParameterVector:
 
     def __init__(self) -> None:
         self._entries: dict[str, Parameter] = {}
+        self._columns: dict[str, int] = {}
 
     def register(self, parameter: Parameter) -> Parameter:
         """Append an entry; a second one of the same name must be identical."""
@@ -72,6 +73,7 @@ class ParameterVector:
         if known is not None and known != parameter:
             raise InputDataError(f"Parameter {parameter.name!r} is registered already with another definition: {known}.")
         self._entries[parameter.name] = parameter
+        self._columns = {name: column for column, name in enumerate(self._entries)}
         return parameter
 
     def __len__(self) -> int:
@@ -96,8 +98,10 @@ class ParameterVector:
 
     def index(self, names: Sequence[str]) -> list[int]:
         """Columns of ``names`` in a parameter tensor."""
-        order = self.names
-        return [order.index(self[name].name) for name in names]
+        for name in names:
+            if name not in self._columns:
+                self[name]  # names the parameters that are known
+        return [self._columns[name] for name in names]
 
     def neutral(self, *batch_shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
         """A ``batch_shape x p`` tensor of neutral values: a bubble in an inviscid liquid without elasticity."""

@@ -10,6 +10,7 @@ dimensionless (pressures over ``p_inf``).
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -83,7 +84,7 @@ class StressTerm:
         """The law's name."""
         return self.law.__qualname__
 
-    @property
+    @cached_property
     def compilable(self) -> bool:
         """Whether the whole term is written with :mod:`imr_torch.elementary`."""
         return all(law is None or has_compiled_form(law) for law in (self.law, self.start, self.fastest))

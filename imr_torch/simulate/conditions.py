@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import ClassVar, Literal
 
 from imr_torch.elementary import Law
@@ -180,7 +181,7 @@ class Conditions:
         """Vapour pressure over ``p_inf`` of the polytropic gas; 0 without vapour."""
         return self.saturation if self.gas.vapour else 0.0
 
-    @property
+    @cached_property
     def saturation(self) -> float:
         """Saturation pressure at the far temperature over ``p_inf``."""
         return saturation_pressure(self.surroundings.temperature) / self.surroundings.far_field_pressure

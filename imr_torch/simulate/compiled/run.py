@@ -80,9 +80,9 @@ def solve_transport(
         limits: tolerance, steps at most, and length of the first step.
         threads: that share the bubbles; all cores if None.
     """
-    grids = resolution.grids()
-    arrays = partial(step.work_for, len(grids[0]), len(grids[1]))
-    return _solve("solve_transport", bubbles, terms, times, width, (_space(grids), *limits), arrays, threads)
+    space = _space(resolution)
+    arrays = partial(step.work_for, len(space[-3]), len(space[-1]))
+    return _solve("solve_transport", bubbles, terms, times, width, (space, *limits), arrays, threads)
 
 
 def solve_polytropic(
@@ -204,9 +204,10 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="imr_torch")
 
 
-def _space(grids: tuple[Any, Any]) -> tuple[np.ndarray, ...]:
-    """Grids as :class:`imr_torch.simulate.compiled.step.Space` has them."""
-    inside, outside = grids
+@functools.cache
+def _space(resolution: Resolution) -> tuple[np.ndarray, ...]:
+    """Grids as :class:`imr_torch.simulate.compiled.step.Space` has them; read only."""
+    inside, outside = resolution.grids()
 
     def columns(*rows: Tensor) -> np.ndarray:
         return torch.cat(rows).T.contiguous().numpy()
