@@ -71,6 +71,12 @@ class Registry:
 
 
 @functools.cache
+def switches(registry: Registry) -> tuple[list[int], list[int]]:
+    """Columns of the parameters that switch each term and each effect on."""
+    return PARAMETERS.index([t.switch for t in registry.terms]), PARAMETERS.index([e.names[0] for e in registry.effects])
+
+
+@functools.cache
 def engine(registry: Registry) -> types.ModuleType:
     """The compiled module of a registry, with ``solve_transport`` and ``solve_polytropic``."""
     folder = _folder(registry)

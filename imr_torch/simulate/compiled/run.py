@@ -15,11 +15,11 @@ import torch
 from torch import Tensor
 
 from imr_torch.elementary import has_compiled_form
-from imr_torch.material import LIBRARY, PARAMETERS, TERMS, StressTerm
+from imr_torch.material import LIBRARY, TERMS, StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
 from imr_torch.simulate.compiled import polytropic, step
-from imr_torch.simulate.compiled.build import Registry, announced, engine
+from imr_torch.simulate.compiled.build import Registry, announced, engine, switches
 from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.driving import DRIVING_LAWS, LawDriving
 from imr_torch.simulate.engines import cores
@@ -131,13 +131,14 @@ def _solve(
     """
     registry = registry_of(bubbles.conditions, terms)
     module = engine(registry)
-    count = len(bubbles) // width
+    count = len(times) // width
     rows = torch.stack(torch.broadcast_tensors(*bubbles.numbers), 1).numpy()
     theta = bubbles.parameters.T.contiguous().numpy()
     curves = np.empty((3, *times.shape))
     status, steps = np.empty(count, np.int64), np.empty(count, np.int64)
-    on = _acting(theta, registry.terms, bubbles.terms, [term.switch for term in registry.terms], width)
-    acting = _acting(theta, registry.effects, bubbles.effects, [effect.names[0] for effect in registry.effects], width)
+    of_terms, of_effects = switches(registry)
+    on = _acting(theta[:, of_terms], registry.terms, bubbles.terms, width)
+    acting = _acting(theta[:, of_effects], registry.effects, bubbles.effects, width)
     moments = times.contiguous().numpy()
     arguments = (width, rows, theta, on, acting, _shared(bubbles, registry), settings, moments, curves, status, steps)
     states = on @ np.array([term.states for term in registry.terms])
@@ -148,11 +149,10 @@ def _solve(
     return *torch.from_numpy(curves).unbind(0), *every
 
 
-def _acting(theta: np.ndarray, known: Sequence[Any], chosen: Sequence[Any], switches: Sequence[str], width: int) -> np.ndarray:
-    """Which of the engine's terms or effects act in each bundle, ``bundles x known``."""
-    columns = theta[:, PARAMETERS.index(list(switches))] != 0.0
-    columns &= np.array([x in chosen for x in known], dtype=bool)
-    return np.ascontiguousarray(columns.reshape(-1, width, len(known)).any(1))
+def _acting(switches: np.ndarray, known: Sequence[Any], chosen: Sequence[Any], width: int) -> np.ndarray:
+    """Which of the engine's terms or effects act in each bundle, ``bundles x known``; what is not zero is switched on."""
+    acts = (switches != 0.0) & np.array([x in chosen for x in known], dtype=bool)
+    return np.ascontiguousarray(acts.reshape(-1, width, len(known)).any(1))
 
 
 def _shared(bubbles: Bubbles, registry: Registry) -> tuple[Any, ...]:
