@@ -1,5 +1,6 @@
 """Stage 4, what we learn: from experiments to a Gaussian for each model's parameters, with a certificate."""
 
+from imr_torch.assimilate.en4dvar import En4DVarOptions, assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
 from imr_torch.assimilate.importance import ImportanceSample
@@ -14,6 +15,7 @@ __all__ = [
     "NOISE_ROUNDS",
     "Assimilation",
     "Certificate",
+    "En4DVarOptions",
     "ImportanceSample",
     "ModelFit",
     "Neighbourhood",
@@ -26,6 +28,7 @@ __all__ = [
     "Verdict",
     "as_one_curve",
     "assimilate",
+    "assimilate_en4dvar",
     "assimilate_estimating_noise",
     "assimilate_published",
     "ensemble_sensitivity",

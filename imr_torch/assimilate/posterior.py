@@ -123,6 +123,21 @@ class Posterior:
         prediction = self.predict(Point(torch.cat(gels, -2), torch.cat(moved, -3)), bundled=True)
         return Neighbourhood(self, point, moves, prediction if leader is None else prediction[..., 1:, :, :])
 
+    def equations(self, point: Point, prediction: Tensor, by_gel: Tensor, by_nuisance: Tensor) -> NormalEquations:
+        """Gauss-Newton normal equations from given sensitivities.
+
+        Args:
+            point: ``batch_shape`` points.
+            prediction: ``batch_shape x E x T`` tensor, there.
+            by_gel: ``batch_shape x E x T x d`` tensor, its sensitivity to the gel.
+            by_nuisance: ``batch_shape x E x T x 3`` tensor, to the nuisances.
+        """
+        slope = _likelihood_slope(self.batch, prediction)[..., None]
+        gradients = (by_gel.mT @ slope)[..., 0].sum(-2), (by_nuisance.mT @ slope)[..., 0]
+        sd = self.batch.sd(prediction)
+        whitened = [self.batch.whiten(x.movedim(-1, 0), sd[None]).movedim(0, -1) for x in (by_gel, by_nuisance)]
+        return normal_equations(point.gel, point.nuisances, gradients, (whitened[0], whitened[1]))
+
     def linearise(self, point: Point) -> NormalEquations:
         """Gauss-Newton normal equations at points."""
         return self.neighbourhood(point).equations
@@ -185,12 +200,7 @@ class Neighbourhood:
     @property
     def equations(self) -> NormalEquations:
         """Gauss-Newton normal equations at the points, with the exact gradient."""
-        batch, centre, (by_gel, by_nuisance) = self.posterior.batch, self.centre, self.slopes
-        slope = _likelihood_slope(batch, centre)[..., None]
-        gradients = (by_gel.mT @ slope)[..., 0].sum(-2), (by_nuisance.mT @ slope)[..., 0]
-        sd = batch.sd(centre)
-        whitened = [batch.whiten(x.movedim(-1, 0), sd[None]).movedim(0, -1) for x in (by_gel, by_nuisance)]
-        return normal_equations(self.point.gel, self.point.nuisances, gradients, (whitened[0], whitened[1]))
+        return self.posterior.equations(self.point, self.centre, *self.slopes)
 
 
 def _likelihood_slope(batch: ExperimentBatch, prediction: Tensor) -> Tensor:
