@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, SearchOptions, assimilate_estimating_noise, weigh
+from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, FitOptions, SearchOptions, assimilate_estimating_noise, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, ModelBelief, wide_prior
 from imr_torch.observe import (
@@ -174,7 +174,7 @@ def characterize(
     estimate_noise: bool = True,
     collapses: int = 2,
     rest_radius: tuple[float, float] | None = None,
-    options: SearchOptions | None = None,
+    options: FitOptions | None = None,
     scores: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
@@ -189,7 +189,8 @@ def characterize(
         estimate_noise: whether to fit its scale, constant part and correlation time to the residuals.
         collapses: collapses that the fitted window holds.
         rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
-        options: how the assimilation searches.
+        options: how gels are fitted, and by which method: :class:`imr_torch.assimilate.SearchOptions` or
+            :class:`imr_torch.assimilate.En4DVarOptions`.
         scores: whether each model also foretells curves from the others (each alone up to five, more in four parts), with the
             noise that was estimated from all.
         seed: of everything random.
@@ -215,14 +216,16 @@ def characterize(
         options=options,
         progress=progress,
     )
-    drop_behind = options.drop_behind if options and options.drop_behind is not None else _IMPROBABLE
+    stated = options.drop_behind if isinstance(options, SearchOptions) else None
+    drop_behind = _IMPROBABLE if stated is None else stated
     result = weigh(result, simulator, seed=child(seed, "weigh"), drop_behind=drop_behind, progress=progress)
     evidence = evidences(result)
     posterior = update(result, evidence)
     found: tuple[PredictiveScore, ...] = ()
     if scores:
         own = child(seed, "scores")
-        found = sum_over_folds(cross_validate(result, simulator, seed=own, options=options, progress=progress))
+        search = options if isinstance(options, SearchOptions) else None
+        found = sum_over_folds(cross_validate(result, simulator, seed=own, options=search, progress=progress))
     return Characterization(experiments, landmarks, result, evidence, posterior, time.process_time() - started, found)
 
 

@@ -44,7 +44,7 @@ if SMOKE:
     settings = CampaignSettings(
         plan=Plan(repeats=100),
         policy=Optimal(Estimator(draws=4), evaluations=4, initial=3),
-        learner=ExactLearner(ensemble=small),
+        learner=ExactLearner(options=small),
     )
 campaign = Campaign(OUT, case.prior, simulator, settings=settings, seed=1)
 

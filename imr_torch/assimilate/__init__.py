@@ -1,12 +1,12 @@
 """Stage 4, what we learn: from experiments to a Gaussian for each model's parameters, with a certificate."""
 
-from imr_torch.assimilate.en4dvar import En4DVarOptions, assimilate_en4dvar
+from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
 from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.assimilate.map_fit import assimilate
 from imr_torch.assimilate.noise_estimation import NOISE_ROUNDS, assimilate_estimating_noise
-from imr_torch.assimilate.options import SearchOptions
+from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.posterior import Neighbourhood, Point, Posterior
 from imr_torch.assimilate.published import PublishedFit, PublishedOptions, as_one_curve, assimilate_published
 from imr_torch.assimilate.weighing import weigh
@@ -16,6 +16,7 @@ __all__ = [
     "Assimilation",
     "Certificate",
     "En4DVarOptions",
+    "FitOptions",
     "ImportanceSample",
     "ModelFit",
     "Neighbourhood",

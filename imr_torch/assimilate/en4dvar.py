@@ -19,9 +19,10 @@ from torch import Tensor
 
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
 from imr_torch.assimilate.gauss_newton import NormalEquations
+from imr_torch.assimilate.options import En4DVarOptions
 from imr_torch.assimilate.posterior import Point, Posterior
 from imr_torch.assimilate.published import as_one_curve
-from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.errors import ConvergenceError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
@@ -31,39 +32,6 @@ from imr_torch.types import Progress
 _ENOUGH = 0.5  # share of an ensemble that must be simulated
 _LONGEST = 2.0  # prior standard deviations of the gel in one step
 _STILL, _SAME = 0.1, 0.1  # posterior standard deviations of the last step, and nats between cycles, of a fit that has converged
-
-
-@dataclass(frozen=True)
-class En4DVarOptions:
-    """How hybrid ensemble 4D-Var goes; sizes as in arXiv 2409.00011 by default.
-
-    Args:
-        members: of the ensemble of each model, in opposite pairs.
-        iterations: Gauss-Newton iterations of each cycle.
-        cycles: the first and its restarts.
-        relaxation: share by which spread is relaxed to that at the start of a cycle, between cycles.
-        tempered: whether the likelihood is the published one: repeats count as one curve, their mean, with the noise of one,
-            and its misfit is divided by the number of frames. Intervals are then far too wide.
-
-    >>> En4DVarOptions(members=32).cycles
-    3
-    """
-
-    members: int = 48
-    iterations: int = 5
-    cycles: int = 3
-    relaxation: float = 0.7
-    tempered: bool = False
-
-    def __post_init__(self) -> None:
-        if self.members < 8 or self.members % 2:
-            raise InputDataError(f"En4DVarOptions.members is {self.members}; expected an even number of at least 8.")
-        if self.iterations < 1 or self.cycles < 1:
-            raise InputDataError(
-                f"En4DVarOptions has iterations {self.iterations} and cycles {self.cycles}; expected at least 1 of each."
-            )
-        if not 0.0 <= self.relaxation <= 1.0:
-            raise InputDataError(f"En4DVarOptions.relaxation is {self.relaxation}; expected a share in [0, 1].")
 
 
 def assimilate_en4dvar(

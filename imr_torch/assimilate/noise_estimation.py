@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import torch
 
+from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, ModelFit
 from imr_torch.assimilate.map_fit import assimilate
-from imr_torch.assimilate.options import SearchOptions
+from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Noise, fit_noise
@@ -32,7 +33,7 @@ def assimilate_estimating_noise(
     *,
     rounds: int,
     seed: int,
-    options: SearchOptions | None = None,
+    options: FitOptions | None = None,
     warn: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:
@@ -43,8 +44,8 @@ def assimilate_estimating_noise(
         batch: the experiments; the first fits are made with their noise (see :func:`imr_torch.observe.fit_noise`).
         simulator: makes the bubbles.
         rounds: how often the noise is estimated and the fits made again; with 0 it is as given.
-        seed: of scouts and ensembles.
-        options: how to search; the tolerances are those of the last fits.
+        seed: of starts and ensembles.
+        options: the method and its settings, :func:`assimilate` by default; tolerances are those of the last fits.
         warn: as for :func:`assimilate`, of the last fits.
         progress: called with one line per iteration.
 
@@ -61,11 +62,12 @@ def assimilate_estimating_noise(
             "correlated); leave these frames out of all repeats, or give the noise."
         )
     law, options = batch.noise, options or SearchOptions()
-    coarse = replace(options, gradient=max(_GRADIENT, options.gradient), agreement=max(_AGREEMENT, options.agreement))
 
     def fit(batch: ExperimentBatch, number: int, near: Assimilation | None) -> Assimilation:
         own, last = child(seed, "round", number) if number else seed, number == rounds
-        how, warned = options if last else coarse, warn and last
+        if isinstance(options, En4DVarOptions):
+            return assimilate_en4dvar(belief, batch, simulator, seed=own, options=options, near=near, progress=progress)
+        how, warned = options if last else _coarse(options), warn and last
         return assimilate(belief, batch, simulator, seed=own, options=how, near=near, warn=warned, progress=progress)
 
     result = fit(batch, 0, None)
@@ -75,6 +77,11 @@ def assimilate_estimating_noise(
             progress(f"noise {batch.noise}")
         result = fit(batch, number, result)
     return result
+
+
+def _coarse(options: SearchOptions) -> SearchOptions:
+    """Tolerances of fits that are not the last."""
+    return replace(options, gradient=max(_GRADIENT, options.gradient), agreement=max(_AGREEMENT, options.agreement))
 
 
 def noise_of_residuals(result: Assimilation, law: Noise) -> Noise:

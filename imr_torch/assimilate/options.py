@@ -1,4 +1,4 @@
-"""How a fit searches for the minimum of its cost: the one family of settings that callers choose, checked when it is made."""
+"""How gels are fitted: the settings of the two methods, checked when they are made. Whoever passes one chooses the method."""
 
 from dataclasses import dataclass
 
@@ -48,3 +48,40 @@ class SearchOptions:
             raise InputDataError(f"SearchOptions.basin_rounds is {self.basin_rounds}; expected 0 or more.")
         if self.iterations < 1:
             raise InputDataError(f"SearchOptions.iterations is {self.iterations}; expected at least 1.")
+
+
+@dataclass(frozen=True)
+class En4DVarOptions:
+    """How hybrid ensemble 4D-Var goes; sizes as in arXiv 2409.00011 by default.
+
+    Args:
+        members: of the ensemble of each model, in opposite pairs.
+        iterations: Gauss-Newton iterations of each cycle.
+        cycles: the first and its restarts.
+        relaxation: share by which spread is relaxed to that at the start of a cycle, between cycles.
+        tempered: whether the likelihood is the published one: repeats count as one curve, their mean, with the noise of one,
+            and its misfit is divided by the number of frames. Intervals are then far too wide.
+
+    >>> En4DVarOptions(members=32).cycles
+    3
+    """
+
+    members: int = 48
+    iterations: int = 5
+    cycles: int = 3
+    relaxation: float = 0.7
+    tempered: bool = False
+
+    def __post_init__(self) -> None:
+        if self.members < 8 or self.members % 2:
+            raise InputDataError(f"En4DVarOptions.members is {self.members}; expected an even number of at least 8.")
+        if self.iterations < 1 or self.cycles < 1:
+            raise InputDataError(
+                f"En4DVarOptions has iterations {self.iterations} and cycles {self.cycles}; expected at least 1 of each."
+            )
+        if not 0.0 <= self.relaxation <= 1.0:
+            raise InputDataError(f"En4DVarOptions.relaxation is {self.relaxation}; expected a share in [0, 1].")
+
+
+FitOptions = SearchOptions | En4DVarOptions
+"""Settings of a fit: those of the most probable gel (:func:`imr_torch.assimilate.assimilate`), or of ensemble 4D-Var."""

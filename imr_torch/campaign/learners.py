@@ -14,6 +14,7 @@ import torch
 
 from imr_torch.assimilate import (
     Assimilation,
+    FitOptions,
     PublishedOptions,
     SearchOptions,
     assimilate_estimating_noise,
@@ -81,13 +82,14 @@ class ExactLearner:
 
     Args:
         samples: importance samples of each model and round, for evidence and moments.
-        ensemble: how the assimilation searches.
+        options: how gels are fitted, and by which method: :class:`imr_torch.assimilate.SearchOptions` or
+            :class:`imr_torch.assimilate.En4DVarOptions`.
         noise_rounds: how often the noise is estimated from the residuals of all experiments, as measured curves want it; with 0
             it is as planned.
     """
 
     samples: int = 256
-    ensemble: SearchOptions = field(default_factory=SearchOptions)
+    options: FitOptions = field(default_factory=SearchOptions)
     noise_rounds: int = 0
 
     def __post_init__(self) -> None:
@@ -103,7 +105,7 @@ class ExactLearner:
             simulator,
             rounds=self.noise_rounds,
             seed=child(harvest.seed, "assimilate", number),
-            options=self.ensemble,
+            options=self.options,
             progress=progress,
         )
         result = weigh(result, simulator, seed=child(harvest.seed, "weigh", number), samples=self.samples)

@@ -41,6 +41,7 @@ from imr_torch.campaign import (
 )
 from imr_torch.characterize import intervals, predictive_band, prepare
 from imr_torch.cli.common import (
+    METHODS,
     add_physics_argument,
     add_prior_arguments,
     add_workers_argument,
@@ -58,6 +59,7 @@ from imr_torch.observe import Experiment, Layout, SimulatedLaboratory, load_trac
 from imr_torch.plot import plot_experiment, plot_information, plot_parameter, plot_probabilities
 from imr_torch.random import child
 
+_FITS = {"exact": "map", "en4dvar": "en4dvar"}
 _BASELINES: dict[str, Callable[[], DesignPolicy]] = {"random": Random, "space-filling": SpaceFilling}
 NAME = "campaign"
 SUMMARY = "design, shoot, learn, and again"
@@ -82,9 +84,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--method",
-        choices=("exact", "paper"),
+        choices=("exact", "en4dvar", "paper"),
         default="exact",
-        help="learn from all data (exact, default), or search and learn as in arXiv 2409.00011, to compare with",
+        help="learn from all data by the most probable gels (exact, default) or by hybrid ensemble 4D-Var, or search and learn "
+        "as in arXiv 2409.00011, to compare with",
     )
     parser.add_argument("--out", metavar="DIR", required=True, help="folder of the journal, figures and JSON")
     parser.add_argument("--resume", action="store_true", help="continue the journal in --out")
@@ -126,8 +129,9 @@ def run(args: argparse.Namespace) -> None:
 def settings_of(args: argparse.Namespace) -> CampaignSettings:
     """What the options say of choosing, learning and ending."""
     base = CampaignSettings.paper() if args.method == "paper" else CampaignSettings()
-    if args.method == "exact" and not args.case:
-        base = replace(base, learner=ExactLearner(noise_rounds=NOISE_ROUNDS))  # nobody knows the noise of a camera before
+    if args.method != "paper":
+        rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
+        base = replace(base, learner=ExactLearner(options=METHODS[_FITS[args.method]], noise_rounds=rounds))
     policy = _policy(args.policy, base.policy, args.evaluations)
     return replace(base, space=space_of(args), plan=plan_of(args), policy=policy, stop=stopping_rule(*args.stop))
 

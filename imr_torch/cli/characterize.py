@@ -13,6 +13,7 @@ from pathlib import Path
 
 from imr_torch.characterize import Characterization, characterize, predictive_band
 from imr_torch.cli.common import (
+    METHODS,
     add_physics_argument,
     add_prior_arguments,
     file_name,
@@ -52,6 +53,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also hold curves out and score how well each model foretells them from the others",
     )
+    parser.add_argument(
+        "--method",
+        choices=tuple(METHODS),
+        default="map",
+        help="the most probable gel by multistart Gauss-Newton (default), or hybrid ensemble 4D-Var, with the data's own "
+        "likelihood or with the tempered one of arXiv 2409.00011; draws are weighed by the posterior after either",
+    )
     parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
     add_physics_argument(parser)
     add_prior_arguments(parser)
@@ -86,6 +94,7 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, folder: Path | Non
         estimate_noise=args.noise == "estimated",
         collapses=args.collapses,
         rest_radius=parse_pair(args.rest_radius, "--rest-radius"),
+        options=METHODS[args.method],
         scores=args.scores,
         seed=args.seed,
         progress=progress_of(args),

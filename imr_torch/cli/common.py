@@ -11,6 +11,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
+from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
@@ -50,6 +51,14 @@ def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE,...",
         help="independently measured parameters in SI (qkv needs G=...)",
     )
+
+
+METHODS: dict[str, FitOptions] = {
+    "map": SearchOptions(),
+    "en4dvar": En4DVarOptions(),
+    "en4dvar-tempered": En4DVarOptions(tempered=True),
+}
+"""Methods that fit a gel, by name."""
 
 
 def add_physics_argument(parser: argparse.ArgumentParser) -> None:

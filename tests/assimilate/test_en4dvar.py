@@ -16,7 +16,7 @@ BATCHES = {
     "certain": experiments(3),
     "uncertain": experiments(3, nuisance=BOTH),
     "correlated": experiments(3, nuisance=BOTH, noise=CORRELATED),
-    "many experiments": experiments(6, nuisance=BOTH),
+    "many experiments": experiments(6, nuisance=Nuisance(time_zero=0.2, rest_radius=0.1)),
 }
 
 
