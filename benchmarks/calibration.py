@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 import torch
 from botorch.utils.sampling import draw_sobol_samples
 
-from imr_torch.assimilate import NOISE_ROUNDS
+from imr_torch.assimilate import NOISE_ROUNDS, En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.calibration import (
     Arrangement,
     Replicate,
@@ -49,20 +49,14 @@ SEED = 0
 _TOLD = 50  # replicates between lines of progress
 
 
-def _published(experiment: Experiment) -> ExperimentBatch:
+def _published(experiments: tuple[Experiment, ...]) -> ExperimentBatch:
     """By the published law of noise, whatever the truth's."""
-    return ExperimentBatch((experiment,), Noise())
+    return ExperimentBatch(experiments, Noise())
 
 
-def _overconfident(experiment: Experiment) -> ExperimentBatch:
+def _overconfident(experiments: tuple[Experiment, ...]) -> ExperimentBatch:
     """By half the noise."""
-    return ExperimentBatch((experiment,), Noise(scale=0.5))
-
-
-def _tempered(experiment: Experiment) -> ExperimentBatch:
-    """By the likelihood of the published method: one mean curve, its misfit divided by the number of frames."""
-    mean = replace(experiment, radius=experiment.radius.mean(0, keepdim=True))
-    return ExperimentBatch((mean,), Noise(scale=len(experiment.times) ** 0.5))
+    return ExperimentBatch(experiments, Noise(scale=0.5))
 
 
 @dataclass(frozen=True)
@@ -75,13 +69,15 @@ class Variant:
         estimated: whether the inference estimates it.
         learn: how the data are read, where not as they were made.
         samples: weighed draws, where not the default.
+        options: how gels are fitted.
     """
 
     uncertain: bool = False
     noise: Noise = field(default_factory=Noise)
     estimated: bool = False
-    learn: Callable[[Experiment], ExperimentBatch] | None = None
+    learn: Callable[[tuple[Experiment, ...]], ExperimentBatch] | None = None
     samples: int | None = None
+    options: FitOptions = field(default_factory=SearchOptions)
 
 
 VARIANTS = {
@@ -91,7 +87,8 @@ VARIANTS = {
     "unknown-noise": Variant(uncertain=True, estimated=True),
     "pixels": Variant(uncertain=True, noise=PIXELS, estimated=True, learn=_published),
     "halved-noise": Variant(learn=_overconfident),
-    "tempered": Variant(learn=_tempered),
+    "en4dvar": Variant(options=En4DVarOptions()),
+    "tempered": Variant(options=En4DVarOptions(tempered=True)),
 }
 
 
@@ -121,7 +118,8 @@ class Job:
         """What is calibrated."""
         kind = VARIANTS[self.variant]
         learn, rounds = kind.learn, NOISE_ROUNDS if kind.estimated else 0
-        whole = Arrangement(reference_case(self.case).prior, self.design, self.plan, learn=learn, noise_rounds=rounds)
+        prior, how = reference_case(self.case).prior, kind.options
+        whole = Arrangement(prior, (self.design,), self.plan, options=how, learn=learn, noise_rounds=rounds)
         return replace(whole, samples=kind.samples) if kind.samples else whole
 
     @property

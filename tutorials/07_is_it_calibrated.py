@@ -31,7 +31,7 @@ OUT.mkdir(parents=True, exist_ok=True)
 # %%
 plan = Plan(times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64), repeats=5)
 options = SearchOptions(scouts=24, starts=2) if SMOKE else SearchOptions()
-mine = Arrangement(reference_case("soft-pa").prior, (400.0, 0.22), plan, samples=64 if SMOKE else 256, options=options)
+mine = Arrangement(reference_case("soft-pa").prior, ((400.0, 0.22),), plan, samples=64 if SMOKE else 256, options=options)
 count = 12 if SMOKE else 100
 replicates = list(calibrate(mine, PolytropicSimulator(), range(count), seed=0))
 
@@ -70,5 +70,5 @@ plot_reliability(result).figure.savefig(OUT / "reliability.png")
 # the test says so. Before you trust a result, make sure that your check could have failed.
 
 # %%
-sure = replace(mine, learn=lambda experiment: ExperimentBatch((experiment,), Noise(scale=0.5)))
+sure = replace(mine, learn=lambda experiments: ExperimentBatch(experiments, Noise(scale=0.5)))
 judge(list(calibrate(sure, PolytropicSimulator(), range(count), seed=0)))

@@ -1,6 +1,6 @@
 """Is the inference right on average? Gels drawn from the prior, measured in simulation, inferred, and compared."""
 
-from imr_torch.calibration.replicate import Arrangement, Replicate, calibrate
+from imr_torch.calibration.replicate import Arrangement, Infer, Replicate, calibrate
 from imr_torch.calibration.statistics import (
     Coverage,
     Reliability,
@@ -15,6 +15,7 @@ from imr_torch.calibration.statistics import (
 __all__ = [
     "Arrangement",
     "Coverage",
+    "Infer",
     "Reliability",
     "Replicate",
     "Uniformity",

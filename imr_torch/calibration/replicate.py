@@ -3,32 +3,44 @@
 If prior, likelihood and computation agree, the place of the truth among draws of its posterior is uniform, whatever the
 data (Talts et al., arXiv 1804.06788, 2018; with the log likelihood as a further quantity: Modrak et al., Bayesian Anal. 20,
 2025), and a model that is given probability P is the true one in a share P of all cases. In goes an arrangement, out comes
-a :class:`Replicate` for each gel, which :mod:`imr_torch.calibration.statistics` judges.
-
-One replicate serves all these questions.
+a :class:`Replicate` for each gel, which :mod:`imr_torch.calibration.statistics` judges. The inference is the toolkit's own or
+any function from data to draws (Hamiltonian Monte Carlo, a neural posterior).
 """
 
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, ImportanceSample, ModelFit, SearchOptions, assimilate_estimating_noise, weigh
+from imr_torch.assimilate import (
+    Assimilation,
+    FitOptions,
+    ImportanceSample,
+    ModelFit,
+    Point,
+    Posterior,
+    SearchOptions,
+    assimilate_estimating_noise,
+    weigh,
+)
 from imr_torch.design import Plan
-from imr_torch.errors import ConvergenceError
+from imr_torch.errors import ConvergenceError, ShapeError
 from imr_torch.material import Belief
-from imr_torch.observe import Experiment, ExperimentBatch, Noise, SimulatedLaboratory, collapse_time
+from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory, collapse_time
 from imr_torch.random import child, generator
 from imr_torch.select import evidences, update
 from imr_torch.simulate import Simulator
 
 _ATTEMPTS = 50
 
-Learn = Callable[[Experiment], ExperimentBatch]
+Learn = Callable[[tuple[Experiment, ...]], ExperimentBatch]
+
+Infer = Callable[[ExperimentBatch, str, int], Tensor]
+"""Data, the true model and a seed to ``n x d`` draws of that model's free parameters, SI."""
 
 
 @dataclass(frozen=True)
@@ -37,20 +49,20 @@ class Arrangement:
 
     Args:
         prior: belief before the data, from which truths are drawn.
-        design: (We, R_inf*).
-        plan: how it is observed.
+        designs: (We, R_inf*) of each experiment on a gel.
+        plan: how they are observed.
         samples: weighed draws of each model and round.
-        options: how the assimilation searches.
-        learn: what the inference is given of an experiment; the data with their own noise when not given. For inferences
+        options: how gels are fitted, and by which method.
+        learn: what the inference is given of the experiments; the data with their own noise when not given. For inferences
             that are wrong, to see that this is found, or know less.
         noise_rounds: how often the inference estimates the noise from its residuals.
     """
 
     prior: Belief
-    design: tuple[float, float]
+    designs: tuple[tuple[float, float], ...]
     plan: Plan = field(default_factory=Plan)
     samples: int = 256
-    options: SearchOptions = field(default_factory=SearchOptions)
+    options: FitOptions = field(default_factory=SearchOptions)
     learn: Learn | None = None
     noise_rounds: int = 0
 
@@ -96,7 +108,9 @@ class Replicate:
     seconds: float = 0.0
 
 
-def calibrate(arrangement: Arrangement, simulator: Simulator, numbers: Iterable[int], *, seed: int) -> Iterator[Replicate]:
+def calibrate(
+    arrangement: Arrangement, simulator: Simulator, numbers: Iterable[int], *, seed: int, infer: Infer | None = None
+) -> Iterator[Replicate]:
     """Replicates of an arrangement.
 
     Args:
@@ -105,31 +119,69 @@ def calibrate(arrangement: Arrangement, simulator: Simulator, numbers: Iterable[
         numbers: which replicates; each depends on the seed and its number alone. Gels and noise of a number are the same
             at every design of one prior.
         seed: of everything random.
+        infer: draws a posterior of the true model; its replicates say where truths lie in what is ``reported``, and nothing of
+            the other questions. The toolkit's own inference when not given.
 
     Yields:
         Replicates, in the order of their numbers.
+
+    >>> from imr_torch.design import Plan
+    >>> from imr_torch.material import reference_case
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> prior = reference_case("soft-pa").prior
+    >>> def prior_draws(batch, model, seed):  # an inference that does not look at the data
+    ...     part = prior[model]
+    ...     return part.physical(part.controls(100, seed=seed))
+    >>> arrangement = Arrangement(prior, designs=((400.0, 0.22),))
+    >>> found = list(calibrate(arrangement, PolytropicSimulator(), range(3), seed=0, infer=prior_draws))
+    >>> [sorted(replicate.reported) for replicate in found][0][:2]
+    ['G', 'mu']
     """
     for number in numbers:
-        yield _replicate(arrangement, number, child(seed, "replicate", number), simulator)
+        own = child(seed, "replicate", number)
+        started = time.process_time()
+        truth = _draw(arrangement, own, simulator)
+        judged = _inferred(arrangement, truth, own, simulator) if infer is None else _ranked(arrangement, truth, own, infer)
+        yield replace(judged, number=number, model=truth.model, redrawn=truth.redrawn, seconds=time.process_time() - started)
 
 
 @dataclass(frozen=True)
 class _Truth:
-    """A gel of the prior: its model, its controls in units of the prior, and what was measured."""
+    """A gel of the prior: its model, its whitened coordinates, and what was measured of it."""
 
     model: str
-    controls: Tensor
-    curve: Tensor
-    experiment: Experiment
+    gel: Tensor
+    experiments: tuple[Experiment, ...]
     redrawn: int
 
 
-def _replicate(arrangement: Arrangement, number: int, seed: int, simulator: Simulator) -> Replicate:
-    """One gel from draw to judgement."""
-    started = time.process_time()
-    truth = _draw(arrangement, seed, simulator)
-    learn = arrangement.learn or partial(_as_it_is, noise=arrangement.plan.noise)
-    batch = learn(truth.experiment)
+def _data(arrangement: Arrangement, truth: _Truth) -> ExperimentBatch:
+    """What the inference is given."""
+    learn = arrangement.learn or partial(ExperimentBatch, noise=arrangement.plan.noise)
+    return learn(truth.experiments)
+
+
+def _ranked(arrangement: Arrangement, truth: _Truth, seed: int, infer: Infer) -> Replicate:
+    """Where the truth lies among the draws of a function."""
+    part = arrangement.prior[truth.model]
+    try:
+        draws = infer(_data(arrangement, truth), truth.model, child(seed, "infer"))
+    except ConvergenceError as error:
+        return Replicate(0, truth.model, failure=str(error))
+    if draws.ndim != 2 or draws.shape[1] != len(part.names) or not bool(torch.isfinite(draws).all()):
+        raise ShapeError(
+            f"infer returned draws of shape {tuple(draws.shape)} for {truth.model}; expected n x {len(part.names)} finite "
+            f"numbers in the order {', '.join(part.names)}, SI."
+        )
+    lots = torch.rand(len(part.names), generator=generator(child(seed, "lots")), dtype=torch.float64)
+    below = (draws < part.physical(part.unwhitened(truth.gel))).double().sum(0)
+    places = (below + lots) / (len(draws) + 1.0)
+    return Replicate(0, truth.model, reported=dict(zip(part.names, places.tolist(), strict=True)), converged=True)
+
+
+def _inferred(arrangement: Arrangement, truth: _Truth, seed: int, simulator: Simulator) -> Replicate:
+    """What the toolkit's own inference makes of one gel."""
+    batch = _data(arrangement, truth)
     try:
         fitted = assimilate_estimating_noise(
             arrangement.prior,
@@ -142,25 +194,20 @@ def _replicate(arrangement: Arrangement, number: int, seed: int, simulator: Simu
         )
         result = weigh(fitted, simulator, seed=child(seed, "weigh"), samples=arrangement.samples)
     except ConvergenceError as error:
-        return Replicate(number, truth.model, redrawn=truth.redrawn, failure=str(error))
+        return Replicate(0, truth.model, failure=str(error))
     fit = result[truth.model]
-    sample = _sample(fit)
-    lots = torch.rand(len(truth.controls) + 1, generator=generator(child(seed, "lots")), dtype=torch.float64).tolist()
-    names = fit.prior.names
-    z = (truth.controls - fit.mean) / torch.linalg.norm(fit.chol, dim=1)
-    reported = fit.posterior
-    at = fit.prior.mean + fit.prior.chol @ truth.controls
-    z_reported = (at - reported.mean) / torch.linalg.norm(reported.chol, dim=1)
-    above = truth.controls - sample.controls
-    known = not bool((batch.nuisance_sds > 0.0).any())
-    likely = sample.by_experiment.sum(1) - float(result.batch.log_likelihood(truth.curve).sum()) if known else None
+    sample, names, reported = _sample(fit), fit.prior.names, fit.posterior
+    lots = torch.rand(len(truth.gel) + 1, generator=generator(child(seed, "lots")), dtype=torch.float64).tolist()
+    z = (truth.gel - fit.mean) / torch.linalg.norm(fit.chol, dim=1)
+    z_reported = (fit.prior.unwhitened(truth.gel) - reported.mean) / torch.linalg.norm(reported.chol, dim=1)
+    above = truth.gel - sample.controls
     return Replicate(
-        number=number,
+        number=0,
         model=truth.model,
         gaussian=dict(zip(names, torch.special.ndtr(z).tolist(), strict=True)),
         weighed={name: _place(sample, above[:, i] > 0.0, lots[i]) for i, name in enumerate(names)},
         reported=dict(zip(names, torch.special.ndtr(z_reported).tolist(), strict=True)),
-        log_likelihood=None if likely is None else _place(sample, likely < 0.0, lots[-1]),
+        log_likelihood=_likelihood_place(fit, result, truth, simulator, lots[-1]),
         z=dict(zip(names, z.tolist(), strict=True)),
         probabilities=update(result, evidences(result)).probabilities,
         information=information(result),
@@ -168,36 +215,45 @@ def _replicate(arrangement: Arrangement, number: int, seed: int, simulator: Simu
         pareto_k=sample.pareto_k if math.isfinite(sample.pareto_k) else None,
         effective_samples=sample.effective_samples,
         converged=result.converged,
-        redrawn=truth.redrawn,
-        seconds=time.process_time() - started,
     )
 
 
+def _likelihood_place(fit: ModelFit, result: Assimilation, truth: _Truth, simulator: Simulator, lot: float) -> float | None:
+    """Share of the draws whose log likelihood is below the truth's; None where nuisances are uncertain."""
+    posterior = Posterior(fit.prior, result.batch, simulator)
+    if len(posterior.uncertain):
+        return None
+    prediction = posterior.predict(Point(truth.gel, posterior.still()))
+    own, sample = float(result.batch.log_likelihood(prediction).sum()), _sample(fit)
+    return _place(sample, sample.by_experiment.sum(1) < own, lot)
+
+
 def _draw(arrangement: Arrangement, seed: int, simulator: Simulator) -> _Truth:
-    """A gel of the prior that can be simulated, and its experiment, cut to the window."""
+    """A gel of the prior that can be simulated, and its experiments, cut to the window."""
     prior, plan = arrangement.prior, arrangement.plan
-    design = torch.tensor(arrangement.design, dtype=torch.float64)
     chosen = torch.multinomial(prior.log_probabilities.exp(), 1, generator=generator(child(seed, "model")))
     part = prior.models[int(chosen)]
     for attempt in range(_ATTEMPTS):
-        controls = torch.randn(len(part.names), generator=generator(child(seed, "gel", attempt)), dtype=torch.float64)
-        gel = part.parameters(part.mean + part.chol @ controls)
+        gel = torch.randn(len(part.names), generator=generator(child(seed, "gel", attempt)), dtype=torch.float64)
         laboratory = SimulatedLaboratory(
-            simulator, gel, noise=plan.noise, repeats=plan.repeats, times=plan.times, nuisance=plan.nuisance
+            simulator, part.to_si(gel), noise=plan.noise, repeats=plan.repeats, times=plan.times, nuisance=plan.nuisance
         )
         try:
-            experiment = laboratory.shoot(design, seed=child(seed, "shoot"))
+            shots = [laboratory.shoot(design, seed=own) for design, own in _shots(arrangement, seed)]
         except ConvergenceError:
             continue
         if plan.collapses is not None:
-            experiment = experiment.until(collapse_time(experiment.times, experiment.mean, plan.collapses))
-        curve = simulator(gel, design, experiment.times).radius
-        return _Truth(part.model, controls, curve[None], experiment, attempt)
-    raise ConvergenceError(f"None of {_ATTEMPTS} gels of the prior of {part.model!r} could be simulated at {design.tolist()}.")
+            shots = [shot.until(collapse_time(shot.times, shot.mean, plan.collapses)) for shot in shots]
+        return _Truth(part.model, gel, tuple(shots), attempt)
+    raise ConvergenceError(
+        f"None of {_ATTEMPTS} gels of the prior of {part.model!r} could be simulated at {arrangement.designs}."
+    )
 
 
-def _as_it_is(experiment: Experiment, noise: Noise) -> ExperimentBatch:
-    return ExperimentBatch((experiment,), noise)
+def _shots(arrangement: Arrangement, seed: int) -> Iterator[tuple[Tensor, int]]:
+    """Each design with the seed of its noise."""
+    for number, design in enumerate(arrangement.designs):
+        yield torch.tensor(design, dtype=torch.float64), child(seed, "shoot", number) if number else child(seed, "shoot")
 
 
 def _sample(fit: ModelFit) -> ImportanceSample:

@@ -1,23 +1,25 @@
-"""Calibration both ways: the default inference is found calibrated, and three that are wrong are found out."""
+"""Calibration both ways: right inferences are found calibrated, the user's own among them, and wrong ones are found out."""
 
 from dataclasses import replace
 
 import pytest
 import torch
 
-from imr_torch.assimilate import SearchOptions, assimilate, weigh
+from imr_torch.assimilate import En4DVarOptions, SearchOptions, assimilate, weigh
+from imr_torch.assimilate.en4dvar import tempered
 from imr_torch.calibration import Arrangement, calibrate, coverage, reliability, uniformity
 from imr_torch.calibration.replicate import information
 from imr_torch.design import Plan, linear_gaussian_gain
-from imr_torch.errors import ConvergenceError
+from imr_torch.errors import ConvergenceError, ShapeError
 from imr_torch.material import Belief, reference_case
 from imr_torch.observe import ExperimentBatch, Nuisance
+from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
 from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
 
 PLAN = Plan(times=torch.linspace(0.0, 2.0, 13, dtype=torch.float64), repeats=16, noise=NOISE, collapses=None)
 OPTIONS = SearchOptions(scouts=8, starts=2)
-LINEAR = Arrangement(prior(("nhkv", "gen_qkv")), (400.0, 0.2), PLAN, samples=64, options=OPTIONS)
+LINEAR = Arrangement(prior(("nhkv", "gen_qkv")), ((400.0, 0.2),), PLAN, samples=64, options=OPTIONS)
 
 
 def run(count, *, learn=None, plan=PLAN, simulator=None, arrangement=LINEAR):
@@ -52,26 +54,64 @@ def test_that_model_probabilities_are_reliable(default):
     assert reliability(stated, [r.model == "nhkv" for r in default], bins=5).p > 0.01
 
 
-def halved(experiment):
-    return ExperimentBatch((experiment,), replace(NOISE, scale=0.5))
+def halved(experiments):
+    return ExperimentBatch(experiments, replace(NOISE, scale=0.5))
 
 
-def tempered(experiment):
-    """The misfit of the mean curve divided by the number of frames."""
-    mean = replace(experiment, radius=experiment.radius.mean(0, keepdim=True))
-    return ExperimentBatch((mean,), replace(NOISE, scale=len(experiment.times) ** 0.5))
-
-
-def enlarged(experiment):
+def enlarged(experiments):
     """A scale that is off by two per cent."""
-    return ExperimentBatch((replace(experiment, radius=1.02 * experiment.radius),), NOISE)
+    return ExperimentBatch(tuple(replace(e, radius=1.02 * e.radius) for e in experiments), NOISE)
 
 
-@pytest.mark.parametrize("learn", [halved, tempered, enlarged])
+@pytest.mark.parametrize("learn", [halved, lambda e: tempered(ExperimentBatch(e, NOISE)), enlarged])
 def test_that_a_wrong_inference_is_found_out(learn):
     found = run(40, learn=learn)
     for kind in ("gaussian", "reported", "weighed"):
         assert min(uniformity(pooled(found, kind, name)).p for name in ("G", "mu")) < 1e-3
+
+
+def drawn_exactly(width=1.0):
+    """Draws of the exact posterior, or of one that is wider or narrower than it."""
+
+    def infer(batch, model, seed):
+        part = LINEAR.prior[model]
+        truth = exact(part, batch)
+        chol = width * torch.linalg.cholesky(truth.covariance)
+        noise = torch.randn(200, len(truth.mean), generator=generator(seed), dtype=torch.float64)
+        return part.physical(part.unwhitened(truth.mean + noise @ chol.mT))
+
+    return infer
+
+
+@pytest.mark.parametrize(("width", "right"), [(1.0, True), (0.6, False), (1.7, False)])
+def test_that_a_function_from_data_to_draws_is_judged(width, right):
+    """Several designs, noise that is correlated in time, nuisances, and 200 gels."""
+    noise = replace(NOISE, correlation_time=0.3)
+    plan = replace(PLAN, nuisance=Nuisance(time_zero=0.1, rest_radius=0.2), noise=noise)
+    several = replace(LINEAR, designs=((400.0, 0.2), (700.0, 0.15), (250.0, 0.25)), plan=plan)
+    found = list(calibrate(several, LinearSimulator(), range(200), seed=5, infer=drawn_exactly(width)))
+    assert {len(r.reported) for r in found} == {2, 3}
+    for name in ("G", "mu"):
+        test = uniformity([r.reported[name] for r in found])
+        assert (test.p > 0.01) is right
+        assert (test.spread > 1.0) is (width < 1.0) or right
+
+
+def test_that_draws_of_a_wrong_shape_are_an_error_that_says_which_is_right():
+    with pytest.raises(ShapeError, match=r"infer returned draws of shape \(7,\) .* in the order G, mu"):
+        list(calibrate(LINEAR, LinearSimulator(), range(2), seed=0, infer=lambda *_: torch.zeros(7)))
+
+
+def test_that_ensemble_4dvar_is_calibrated_and_its_tempered_form_is_not():
+    sharp, tempered_ = (
+        [r.gaussian for r in run(60, arrangement=replace(LINEAR, prior=prior(("nhkv",)), options=En4DVarOptions(tempered=t)))]
+        for t in (False, True)
+    )
+    for name in ("G", "mu"):
+        assert uniformity([r[name] for r in sharp]).p > 0.01
+        wide = uniformity([r[name] for r in tempered_])
+        assert wide.p < 1e-3
+        assert wide.spread < 0.7
 
 
 def test_that_nuisances_are_drawn_and_marginalised():
@@ -96,7 +136,7 @@ def test_that_information_comes_as_expected():
     found = torch.tensor([r.information for r in run(40, arrangement=one)], dtype=torch.float64)
     part = one.prior.models[0]
     start = part.parameters(part.mean)
-    design, simulator = tensor(*one.design), LinearSimulator()
+    design, simulator = tensor(*one.designs[0]), LinearSimulator()
     moved = [part.parameters(part.mean + step) for step in torch.eye(2, dtype=torch.float64)]
     rows = [simulator(gel, design, PLAN.times).radius - simulator(start, design, PLAN.times).radius for gel in moved]
     noise = NOISE.floor**2 / PLAN.repeats * torch.eye(len(PLAN.times), dtype=torch.float64)
