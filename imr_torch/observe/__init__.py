@@ -8,12 +8,14 @@ from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
 from imr_torch.observe.load import load_traces
 from imr_torch.observe.noise import Noise, fit_noise
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
+from imr_torch.observe.readers import READERS, Reader, register_reader
 from imr_torch.observe.traces import Given, LeftOut, RadiusTrace, TraceSet
 from imr_torch.observe.window import collapse_time
 
 __all__ = [
     "KNOWN_LAYOUTS",
     "NUISANCES",
+    "READERS",
     "Experiment",
     "ExperimentBatch",
     "Given",
@@ -23,6 +25,7 @@ __all__ = [
     "Noise",
     "Nuisance",
     "RadiusTrace",
+    "Reader",
     "SimulatedLaboratory",
     "TraceSet",
     "collapse_time",
@@ -31,5 +34,6 @@ __all__ = [
     "fit_noise",
     "load_traces",
     "predict",
+    "register_reader",
     "to_experiment",
 ]

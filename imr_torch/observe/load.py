@@ -15,6 +15,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.observe import matlab
 from imr_torch.observe.layout import EXAMPLE, KNOWN_LAYOUTS, LENGTHS, TIMES, Layout
 from imr_torch.observe.raw import RawCurve
+from imr_torch.observe.readers import READERS
 from imr_torch.observe.table import Table, read_table, table_curves
 from imr_torch.observe.traces import MIN_SAMPLES, LeftOut, TraceSet
 
@@ -23,8 +24,9 @@ def load_traces(*paths: str | Path, layout: Layout | None = None) -> TraceSet:
     """Read curves from files.
 
     Args:
-        paths: CSV files with header ``experiment_id,time_s,radius_m`` (a JSON file of the same name beside it adds what
-            the laboratory says), tables of text, or MATLAB files (v4 to v7.3).
+        paths: files of a registered format (:func:`imr_torch.observe.register_reader`); CSV files with header
+            ``experiment_id,time_s,radius_m`` (a JSON file of the same name beside it adds what the laboratory says), tables of
+            text, or MATLAB files (v4 to v7.3).
         layout: what the columns or variables mean, the same for all files; None: one of ``KNOWN_LAYOUTS`` must fit.
 
     Returns:
@@ -39,8 +41,13 @@ def load_traces(*paths: str | Path, layout: Layout | None = None) -> TraceSet:
 
 
 def _load_file(path: Path, layout: Layout | None) -> TraceSet:
-    file = str(path)
-    data: matlab.Variables | Table = matlab.read_variables(path) if _is_matlab(path) else read_table(path)
+    file, head = str(path), _head(path)
+    for reader in READERS.values():
+        if reader.recognises(path, head):
+            if layout is not None:
+                raise InputDataError(f"{path}: is read as {reader.name!r}, which takes no layout; leave the layout out.")
+            return reader.read(path)
+    data: matlab.Variables | Table = matlab.read_variables(path) if _is_matlab(path, head) else read_table(path)
     notes: list[str] = []
     if layout is None:
         name = _select_layout(file, data)
@@ -72,7 +79,8 @@ def _load_file(path: Path, layout: Layout | None) -> TraceSet:
     return TraceSet(tuple(traces), tuple(left_out), (*notes, *more))
 
 
-def _is_matlab(path: Path) -> bool:
+def _head(path: Path) -> bytes:
+    """The first bytes of a file that can be one."""
     if not path.exists():
         raise InputDataError(f"{path}: no such file; check the name and the folder ({path.parent.resolve()}).")
     if path.is_dir():
@@ -81,6 +89,10 @@ def _is_matlab(path: Path) -> bool:
         head = stream.read(4096)
     if not head.strip():
         raise InputDataError(f"{path}: the file is empty; export the curve again.")
+    return head
+
+
+def _is_matlab(path: Path, head: bytes) -> bool:
     if head.startswith((b"MATLAB 5.0", b"MATLAB 7.3", b"\x89HDF")) or (path.suffix.lower() == ".mat" and b"\0" in head):
         return True
     if b"\0" in head:

@@ -1,0 +1,43 @@
+"""What is registered from outside works from the file to the answer, without a change to the package."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from imr_torch.errors import InputDataError
+from imr_torch.observe import READERS, Layout, Reader, TraceSet, load_traces, register_reader
+
+
+def test_that_a_format_a_model_and_an_effect_are_added_from_outside(tmp_path: Path) -> None:
+    """In a process of its own, since registries are shared by all tests."""
+    script = Path(__file__).with_name("extension.py")
+    ran = subprocess.run([sys.executable, str(script), str(tmp_path)], capture_output=True, text=True, timeout=900, check=False)
+    assert ran.returncode == 0, ran.stderr
+    file, model, effect = ran.stdout.splitlines()
+    assert file.startswith("file ")
+    assert model == "model two_springs G,mu,G_second"
+    assert effect.split()[0] == "effect"
+    assert "surge" in effect
+
+
+def test_that_a_reader_is_asked_first_and_takes_no_layout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imr_torch.observe.readers.READERS", READERS)
+    file, asked = tmp_path / "a.csv", []
+    file.write_text("MINE\n1,2\n")
+
+    def read(path: Path) -> TraceSet:
+        asked.append(path)
+        return TraceSet(())
+
+    register_reader(Reader("mine", lambda path, head: head.startswith(b"MINE"), read))
+    try:
+        load_traces(file)
+        assert asked == [file]
+        with pytest.raises(InputDataError, match="is read as 'mine', which takes no layout"):
+            load_traces(file, layout=Layout(time="t", radius="r"))
+        with pytest.raises(InputDataError, match="A reader of the name 'mine' is registered already"):
+            register_reader(Reader("mine", lambda path, head: True, read))
+    finally:
+        del READERS["mine"]
