@@ -101,7 +101,9 @@ def main(folder: Path) -> None:
     found = characterize(traces, prior=wide_prior(("nhkv", "two_springs")), simulator=simulator, options=options)
     print("model", found.posterior.best.model, ",".join(found.posterior.best.names))
 
-    laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 5000.0, "mu": 0.1, "surge": 0.08}), repeats=20, times=times)
+    laboratory = SimulatedLaboratory(
+        simulator, PARAMETERS.pack({"G": 5000.0, "mu": 0.1, "surge": 0.08}), repeats=20, times=times
+    )
     designs = torch.tensor([[300.0, 0.2], [700.0, 0.16], [500.0, 0.25]], dtype=torch.float64)
     shots = [laboratory.shoot(each, seed=i) for i, each in enumerate(designs)]
     report = diagnose(shots, noise=laboratory.noise, simulator=simulator)

@@ -22,8 +22,7 @@ def test_that_a_format_a_model_and_an_effect_are_added_from_outside(tmp_path: Pa
     assert "surge" in effect
 
 
-def test_that_a_reader_is_asked_first_and_takes_no_layout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imr_torch.observe.readers.READERS", READERS)
+def test_that_a_reader_is_asked_first_and_takes_no_layout(tmp_path: Path) -> None:
     file, asked = tmp_path / "a.csv", []
     file.write_text("MINE\n1,2\n")
 
@@ -36,7 +35,7 @@ def test_that_a_reader_is_asked_first_and_takes_no_layout(tmp_path: Path, monkey
         load_traces(file)
         assert asked == [file]
         with pytest.raises(InputDataError, match="is read as 'mine', which takes no layout"):
-            load_traces(file, layout=Layout(time="t", radius="r"))
+            load_traces(file, layout=Layout("r", radius_unit="um", time="t"))
         with pytest.raises(InputDataError, match="A reader of the name 'mine' is registered already"):
             register_reader(Reader("mine", lambda path, head: True, read))
     finally:
