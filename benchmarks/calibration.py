@@ -32,7 +32,7 @@ from imr_torch.calibration import (
     reliability,
     uniformity,
 )
-from imr_torch.design import DesignSpace, Estimator, Plan, expected_information_gain
+from imr_torch.design import DesignSpace, Laplace, Plan, expected_information_gain
 from imr_torch.material import reference_case
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
 from imr_torch.plot import plot_places, plot_reliability
@@ -236,7 +236,7 @@ def gain(job: Job, designs: int, count: int, folder: Path) -> None:
         here = replace(job, design=(float(point[0]), float(point[1])))
         found = {r.number: r.information for r in replicates(here, count, folder) if r.information is not None}
         estimate = expected_information_gain(
-            here.arrangement.prior, point[None], here.simulator, here.plan, estimator=Estimator(draws=256), seed=SEED
+            here.arrangement.prior, point[None], here.simulator, here.plan, estimator=Laplace(draws=256), seed=SEED
         )
         expected.append(estimate.value)
         realised.append(found)

@@ -26,7 +26,7 @@ from imr_torch.campaign import (
     Study,
     run_campaigns,
 )
-from imr_torch.design import Estimator, Plan
+from imr_torch.design import Laplace, Plan
 from imr_torch.design.likelihood import Data, infer
 from imr_torch.design.response import Shot, respond
 from imr_torch.files import write_json
@@ -36,7 +36,7 @@ from imr_torch.simulate import Accuracy, Simulator, TransportSimulator, process_
 
 PLAN = Plan(repeats=100)
 SIMULATOR = TransportSimulator(accuracy=Accuracy(max_steps=20000))  # named, so that journals outlive a change of defaults
-SEARCH = Optimal(Estimator(draws=16), batch=5)
+SEARCH = Optimal(Laplace(draws=16), batch=5)
 POLICIES: dict[str, DesignPolicy] = {"optimal": SEARCH, "random": Random()}
 MODES = ("exact", "paper")
 WITHIN, SURE, LEVEL = 0.01, 0.99, 0.9

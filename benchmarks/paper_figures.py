@@ -24,7 +24,7 @@ from paper_campaigns import PLAN, POLICIES, SEARCH, SIMULATOR, WITHIN, Row, info
 
 from imr_torch.assimilate import PublishedFit, assimilate_published
 from imr_torch.campaign import PAPER_OPTIMAL, ExactLearner, Harvest, Learner, Optimal, PaperLearner, Situation
-from imr_torch.design import DesignSpace, Estimator, gains_of_each
+from imr_torch.design import DesignSpace, Laplace, PublishedEstimator, gains_of_each
 from imr_torch.files import write_json
 from imr_torch.material import CASES, PARAMETERS, Belief, TruncatedNormal, reference_case
 from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory, collapse_time
@@ -94,7 +94,7 @@ def bo(folder: Path) -> None:
             "gain": best.mean,
         }
 
-    searches = {f"paper, N {n}": replace(PAPER_OPTIMAL, estimator=Estimator("paper", draws=n // 2)) for n in DRAWS}
+    searches = {f"paper, N {n}": replace(PAPER_OPTIMAL, estimator=PublishedEstimator(n // 2)) for n in DRAWS}
     searches["default, N 32"] = SEARCH
     rows = {
         name: remembered(folder, f"bo_{name.replace(', N ', '_')}", lambda p=policy: search(p))
@@ -120,7 +120,7 @@ def search(folder: Path, seeds: Sequence[int] = range(3)) -> None:
     The dearer one has four times the draws and asks for one design at a time; both ends are judged with 128 fresh common
     draws of each model.
     """
-    dear, judge = Optimal(Estimator(draws=64), batch=1), Estimator(draws=128)
+    dear, judge = Optimal(Laplace(draws=64), batch=1), Laplace(draws=128)
     campaigns = study(folder, CASE, "optimal", "exact")
 
     def compute(number: int, seed: int) -> dict[str, Any]:

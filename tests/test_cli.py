@@ -77,9 +77,29 @@ def test_characterize_scores_models_by_curves_foretold_from_the_others(tmp_path,
     assert said.index("nhkv: 0.0") < said.index("newtonian: -")
 
 
+def test_design_names_several_designs_and_what_each_adds(tmp_path, capsys):
+    out = tmp_path / "day"
+    options = ["--we-range", "200:400", "--rinf-range", "0.18:0.24", "--evaluations", "3", "--draws", "3", "--q", "2"]
+    assert main(["design", "--case", "soft-pa", *options, *QUICK, "--out", str(out)]) == 0
+    result, said = json.loads((out / "design.json").read_text()), capsys.readouterr().out
+    assert result["joint_eig"] == pytest.approx(result["eig"] + result["further"][0]["eig"])
+    assert 200.0 <= result["further"][0]["design"]["We"] <= 400.0
+    assert (out / "information_2.png").exists()
+    assert said.count("Shoot We") == 2
+    assert f"together {result['joint_eig']:.3f} nats" in said
+
+
+def test_design_can_ask_about_the_model_alone(tmp_path):
+    target = tmp_path / "model.json"
+    options = ["--target", "model", "--evaluations", "3", "--draws", "3", "--repeats", "1"]
+    assert main(["design", "--case", "soft-pa", *options, *QUICK, "--json", str(target)]) == 0
+    evaluated = json.loads(target.read_text())["evaluations"]
+    assert all(row["parameters"] == 0.0 and row["eig"] <= 0.6932 for row in evaluated)
+
+
 def test_design_recommends_inside_the_space_and_draws_its_map(tmp_path):
     out = tmp_path / "next"
-    options = ["--evaluations", "5", "--draws", "4", "--we-range", "200:400", "--policy", "qEI"]
+    options = ["--evaluations", "5", "--draws", "4", "--we-range", "200:400", "--strategy", "qEI"]
     assert main(["design", "--case", "soft-pa", *options, *QUICK, "--out", str(out)]) == 0
     result = json.loads((out / "design.json").read_text())
     assert 200.0 <= result["design"]["We"] <= 400.0
@@ -250,6 +270,8 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
         (["design", "--case", "soft-pa", "--we-range", "900:100"], r"weber is \(900.0, 100.0\); expected 0 < lower < upper"),
         (["design", "--case", "soft-pa", "--workers", "0"], "--workers is 0; expected at least 1"),
         (["design", "--case", "soft-pa", "--belief", "x.json"], "--belief and --case both name a prior"),
+        (["design", "--case", "soft-pa", "--q", "0", *QUICK], "q is 0; expected at least 1"),
+        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--q", "0"], "--q is 0; expected at least 1"),
         (["campaign", "--case", "soft-pa", "--out", "{folder}", "--designs", "0"], "--designs is 0; expected at least 1"),
         (
             ["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "best"],

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from imr_torch.assimilate import SearchOptions
 from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Optimal
-from imr_torch.design import Estimator, Plan
+from imr_torch.design import Laplace, Plan
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.plot import plot_information, plot_parameter
@@ -43,7 +43,7 @@ if SMOKE:
     small = SearchOptions(scouts=32, starts=2)
     settings = CampaignSettings(
         plan=Plan(repeats=100),
-        policy=Optimal(Estimator(draws=4), evaluations=4, initial=3),
+        policy=Optimal(Laplace(draws=4), evaluations=4, initial=3),
         learner=ExactLearner(options=small),
     )
 campaign = Campaign(OUT, case.prior, simulator, settings=settings, seed=1)

@@ -6,6 +6,7 @@
 # %%
 import os
 import tempfile
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -13,11 +14,16 @@ from botorch.optim import optimize_acqf
 from botorch.utils.sampling import manual_seed
 
 from imr_torch.design import (
+    AdaptiveContrastive,
     DesignSpace,
-    Estimator,
     ExpectedInformationGain,
+    ImportanceSampling,
+    InformationEstimator,
+    InformationGain,
+    Laplace,
     Plan,
-    Policy,
+    Shot,
+    Strategy,
     information_bracket,
     search_design,
 )
@@ -31,14 +37,15 @@ OUT.mkdir(parents=True, exist_ok=True)
 
 # %% [markdown]
 # ## The acquisition
-# Belief, simulator and plan say what is asked; the estimator how. `laplace` is cheap and does not saturate. With one seed all
-# designs share gels and noise, so the surface is smooth, and differences between designs are known better than their level.
+# Belief, simulator and plan say what is asked; the estimator, an object, how. `Laplace` is cheap and does not saturate. With
+# one seed all designs share gels and noise, so the surface is smooth, and differences between designs are known better than
+# their level. `target="model"` asks only which model is right, `target="parameters"` only for its parameters.
 
 # %%
 prior, simulator, plan = reference_case("stiff-pa").prior, PolytropicSimulator(), Plan(repeats=100)
 space = DesignSpace(weber=(100.0, 1000.0), rest_radius=(0.14, 0.30))
-draws = Estimator("laplace", draws=4 if SMOKE else 32)
-acquisition = ExpectedInformationGain(prior, simulator, plan=plan, space=space, estimator=draws, seed=1)
+laplace = Laplace(draws=4 if SMOKE else 32)
+acquisition = ExpectedInformationGain(prior, simulator, laplace, plan=plan, space=space, seed=1)
 
 X = torch.tensor([[[900.0, 0.28]], [[300.0, 0.20]]], dtype=torch.float64)  # batch_shape x q x 2
 print("gain in nats:", acquisition(X).tolist())
@@ -67,7 +74,7 @@ print(f"direct: We {float(best[0, 0]):.0f}, R_inf* {float(best[0, 1]):.3f}, {flo
 
 # %%
 search = search_design(
-    acquisition, seed=0, policy=Policy("qLogNEI"), evaluations=5 if SMOKE else 25, initial=4 if SMOKE else 10
+    acquisition, seed=0, strategy=Strategy("qLogNEI"), evaluations=5 if SMOKE else 25, initial=4 if SMOKE else 10
 )
 chosen = search.recommendation
 print(
@@ -86,11 +93,38 @@ for name, second in (("the same design again", one), ("another stretch", other))
     print(f"{name}: {pair.value:.2f} nats together, {pair.value - acquisition.estimate(one[None]).value:.2f} more than alone")
 
 # %% [markdown]
+# `search_design(..., q=3)` finds such sets, one design after the other with those before it pending (`X_pending`), and says
+# what each adds. On the command line: `imr-torch design --case stiff-pa --q 3`.
+
+# %%
+pair = search_design(acquisition, seed=0, q=2, evaluations=5 if SMOKE else 15, initial=4 if SMOKE else 8)
+for design, nats in zip(pair.chosen, pair.increments, strict=True):
+    print(f"{space.describe(design, simulator.conditions.surroundings)} adds {nats:.2f} nats")
+
+# %% [markdown]
+# ## An estimator of your own
+# Any subclass of `InformationEstimator` works wherever these do. This one halves what another says.
+
+
+# %%
+@dataclass(frozen=True)
+class Half(InformationEstimator):
+    of: InformationEstimator
+
+    def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
+        gain = self.of(shot, generator)
+        return replace(gain, parameters=gain.parameters / 2, model=gain.model / 2, variance=gain.variance / 4, influence=())
+
+
+print("half of it:", ExpectedInformationGain(prior, simulator, Half(laplace), plan=plan, seed=1)(X).tolist())
+
+# %% [markdown]
 # ## How far to trust the number
 # Bounds from both sides, made of the same gels and noise: the truth is between them, within their errors.
 
 # %%
-sizes = Estimator(draws=4 if SMOKE else 32, inner=8 if SMOKE else 64)
-bracket = information_bracket(prior, chosen.design[None], simulator, plan, estimator=sizes, seed=2)
+sizes = {"draws": 4 if SMOKE else 32, "inner": 8 if SMOKE else 64}
+lower, upper = AdaptiveContrastive(**sizes), ImportanceSampling(**sizes)
+bracket = information_bracket(prior, chosen.design[None], simulator, plan, lower=lower, upper=upper, seed=2)
 for name, bound in (("lower", bracket.lower), ("upper", bracket.upper)):
     print(f"{name} bound {bound.value:.2f} +- {bound.variance**0.5:.2f} nats")

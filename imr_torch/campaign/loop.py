@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -175,28 +176,52 @@ class Campaign:
 
         A design that was asked before and not yet told is given again without another search.
         """
-        number = len(self.experiments) + 1
+        return self.ask_several(1, progress=progress)[0]
+
+    def ask_several(self, q: int, *, progress: Progress | None = None) -> tuple[Proposal, ...]:
+        """Designs to prepare together: each chosen with those before it pending, all under the present belief.
+
+        Args:
+            q: how many; those asked before and not yet told count.
+            progress: called with one line per evaluation.
+
+        Returns:
+            ``q`` proposals; the gain of each is what it adds to those before.
+        """
+        if q < 1:
+            raise InputDataError(f"q is {q}; expected at least 1.")
+        proposals: list[Proposal] = []
+        for number in range(len(self.experiments) + 1, len(self.experiments) + 1 + q):
+            pending = torch.stack([p.design for p in proposals]) if proposals else None
+            proposals.append(self._propose(number, pending, progress))
+        return tuple(proposals)
+
+    def _propose(self, number: int, pending: Tensor | None, progress: Progress | None) -> Proposal:
+        """The proposal of one step, from the journal if it was made before."""
         known = self.journal.find("ask", number)
         if known is not None:
             design = torch.tensor(known["design"], dtype=torch.float64)
             return Proposal(number, design, known["gain"], known["gain_sd"])
         settings = self.settings
-        situation = Situation(number, self.belief, self.simulator, settings.space, self.plan, self.seed)
+        situation = Situation(number, self.belief, self.simulator, settings.space, self.plan, self.seed, pending)
         found = settings.policy.choose(situation, progress=progress)
         search = found.search
         tried = zip(search.gains, search.designs, strict=True) if search else ()
-        rows = [finite(asdict(gain)) | {"design": design.tolist()} for gain, design in tried]
         self.journal.append(
-            "ask", step=number, design=found.design.tolist(), gain=found.gain, gain_sd=found.gain_sd, evaluations=rows
+            "ask",
+            step=number,
+            design=found.design.tolist(),
+            gain=found.gain,
+            gain_sd=found.gain_sd,
+            pending=finite(asdict(search.pending)) if search and search.pending else None,
+            evaluations=[finite(asdict(gain)) | {"design": design.tolist()} for gain, design in tried],
         )
         return found
 
     def search(self, number: int) -> DesignSearch | None:
         """The search behind the proposal of a step, rebuilt from the journal; None where there was none."""
         known = self.journal.find("ask", number)
-        if known is None or not known["evaluations"] or not isinstance(self.settings.policy, Optimal):
-            return None
-        return self.settings.policy.rebuild(known, self.settings.space, self.seed)
+        return None if known is None else self.settings.policy.rebuild(known, self.settings.space, self.seed)
 
     def tell(self, *experiments: Experiment, progress: Progress | None = None) -> Step:
         """Record what was measured, with its achieved design, and update the belief.
@@ -242,25 +267,43 @@ class Campaign:
         return experiment.until(collapse_time(experiment.times, experiment.mean, collapses))
 
     def run(
-        self, shoot: Callable[[Tensor, int], Experiment], designs: int, *, progress: Progress | None = None
+        self,
+        shoot: Callable[[Tensor, int], Experiment],
+        designs: int,
+        *,
+        q: int = 1,
+        progress: Progress | None = None,
     ) -> Sequence[Step]:
         """Ask and shoot until ``designs`` experiments are told, or the stopping rule has a reason to end.
 
         Args:
             shoot: makes an experiment at a design; second argument is its number.
             designs: experiments in all, those already told included; it may be raised when a campaign is resumed.
+            q: experiments that are chosen together, shot and then learnt from at once; the stopping rule looks at the belief
+                before each such set.
             progress: called with one line per step of work.
         """
-        if len(self.experiments) > self._learnt:
-            self.learn(progress=progress)  # the last run was cut off between measuring and learning
+        if len(self.experiments) > self._learnt:  # the last run was cut off between measuring and learning
+            self._complete(shoot, designs, progress)
         while len(self.experiments) < designs:
             if reason := self.reason_to_stop():
                 return self._end(reason, progress)
-            proposal = self.ask(progress=progress)
-            if reason := self.reason_to_stop(proposal):
+            proposals = self.ask_several(min(q, designs - len(self.experiments)), progress=progress)
+            if reason := self.reason_to_stop(proposals[0]):
                 return self._end(reason, progress)
-            self.tell(shoot(proposal.design, proposal.step), progress=progress)
+            worth = takewhile(lambda proposal: not self.reason_to_stop(proposal), proposals)
+            self.tell(*[shoot(proposal.design, proposal.step) for proposal in worth], progress=progress)
         return self.steps
+
+    def _complete(self, shoot: Callable[[Tensor, int], Experiment], designs: int, progress: Progress | None) -> None:
+        """Shoot what was asked together with the last experiments and not told, and learn from all of them."""
+        asked = takewhile(lambda number: self.journal.find("ask", number), range(len(self.experiments) + 1, designs + 1))
+        proposals = [self._propose(number, None, progress) for number in asked]
+        worth = list(takewhile(lambda proposal: not self.reason_to_stop(proposal), proposals))
+        if worth:
+            self.tell(*[shoot(proposal.design, proposal.step) for proposal in worth], progress=progress)
+        else:
+            self.learn(progress=progress)
 
     def _end(self, reason: str, progress: Progress | None) -> Sequence[Step]:
         """Write down why the campaign is over, once."""

@@ -5,7 +5,7 @@ frozen dataclasses, so a journal can tell whether it was written by the same one
 gain.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import torch
@@ -14,18 +14,19 @@ from torch import Tensor
 
 from imr_torch.design import (
     PAPER_PLAN,
-    POLICIES,
-    DesignOptimizer,
+    STRATEGIES,
     DesignSearch,
     DesignSpace,
-    Estimator,
     ExpectedInformationGain,
+    InformationEstimator,
     InformationGain,
+    Laplace,
     Plan,
-    Policy,
+    PublishedEstimator,
     Recommendation,
+    SearchSettings,
+    Strategy,
     search_design,
-    tell_gain,
 )
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
@@ -45,6 +46,7 @@ class Situation:
         space: designs that may be asked for.
         plan: how the experiment will be observed.
         seed: of the campaign.
+        pending: ``m x 2`` tensor of designs that were proposed before under the same belief and will be shot with this one.
     """
 
     number: int
@@ -53,6 +55,7 @@ class Situation:
     space: DesignSpace
     plan: Plan
     seed: int
+    pending: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,8 @@ class Proposal:
     Args:
         step: number of the experiment, from 1.
         design: ``2`` tensor, (We, R_inf*).
-        gain: expected information gain there, nats (posterior mean of the surrogate); None if the policy estimates none.
+        gain: expected information gain there, nats (posterior mean of the surrogate), beyond that of pending designs; None if
+            the policy estimates none.
         gain_sd: its standard deviation.
         search: how it was found; None if it was not searched for, or was read back from a journal.
     """
@@ -81,6 +85,24 @@ class DesignPolicy(Protocol):
         """The next design, a function of the situation alone."""
         ...
 
+    def rebuild(self, record: dict[str, Any], space: DesignSpace, seed: int) -> DesignSearch | None:
+        """The search behind a journal's ``ask`` (see :meth:`imr_torch.campaign.Campaign.search`); None if there was none.
+
+        Args:
+            record: the journal's entry.
+            space: of the campaign.
+            seed: of the campaign.
+        """
+        ...
+
+
+class _WithoutSearch:
+    """A policy that estimates no gain."""
+
+    def rebuild(self, record: dict[str, Any], space: DesignSpace, seed: int) -> DesignSearch | None:
+        """See :class:`DesignPolicy`."""
+        return None
+
 
 @dataclass(frozen=True)
 class Optimal:
@@ -92,16 +114,16 @@ class Optimal:
         initial: of which space-filling.
         batch: designs that are asked for and simulated together after those.
         common: whether all evaluations of a search share their draws.
-        acquisition: how the search chooses designs, and the last.
+        strategy: how the search chooses designs, and the last.
         plan: how the experiment will be observed, if not as the campaign says.
     """
 
-    estimator: Estimator = field(default_factory=lambda: Estimator(draws=32))
+    estimator: InformationEstimator = field(default_factory=lambda: Laplace(draws=32))
     evaluations: int = 25
     initial: int = 10
     batch: int = 5
     common: bool = True
-    acquisition: Policy = field(default_factory=Policy)
+    strategy: Strategy = field(default_factory=Strategy)
     plan: Plan | None = None
 
     def __post_init__(self) -> None:
@@ -117,9 +139,10 @@ class Optimal:
         acquisition = ExpectedInformationGain(
             situation.belief,
             situation.simulator,
+            self.estimator,
             plan=self.plan or situation.plan,
             space=situation.space,
-            estimator=self.estimator,
+            X_pending=situation.pending,
         )
         search = search_design(
             acquisition,
@@ -127,33 +150,39 @@ class Optimal:
             evaluations=self.evaluations,
             initial=self.initial,
             batch=self.batch,
-            policy=self.acquisition,
+            strategy=self.strategy,
             common=self.common,
             progress=progress,
         )
         best = search.recommendation
         return Proposal(situation.number, best.design, best.mean, best.sd, search)
 
-    def rebuild(self, record: dict[str, Any], space: DesignSpace, seed: int) -> DesignSearch:
-        """The search behind a journal's ``ask`` (see :meth:`imr_torch.campaign.Campaign.search`)."""
+    def rebuild(self, record: dict[str, Any], space: DesignSpace, seed: int) -> DesignSearch | None:
+        """See :class:`DesignPolicy`."""
         rows = [dict(row) for row in record["evaluations"]]
+        if not rows:
+            return None
         designs = torch.tensor([row.pop("design") for row in rows], dtype=torch.float64)
-        gains = tuple(InformationGain(**row) for row in rows)
-        optimizer = DesignOptimizer(
-            space, seed=child(seed, "design", record["step"]), initial=self.initial, policy=self.acquisition
-        )
-        for design, gain in zip(designs, gains, strict=True):
-            tell_gain(optimizer, design, gain)
+        gains = tuple(_gain(row) for row in rows)
+        pending = _gain(record["pending"]) if record.get("pending") else None
+        settings = SearchSettings(child(seed, "design", record["step"]), self.initial, self.strategy, common=self.common)
+        optimizer, _ = settings.optimizer(space, designs, gains, pending)
         best = Recommendation(torch.tensor(record["design"], dtype=torch.float64), record["gain"], record["gain_sd"])
-        return DesignSearch(best, designs, gains, optimizer)
+        return DesignSearch(best, designs, gains, optimizer, pending)
 
 
-PAPER_OPTIMAL = Optimal(Estimator("paper", draws=500), batch=1, common=False, acquisition=POLICIES["paper"], plan=PAPER_PLAN)
+def _gain(row: dict[str, Any]) -> InformationGain:
+    """The gain of a journal's entry."""
+    influence = tuple((a, b) for a, b in row["influence"])
+    return replace(InformationGain(**{key: value for key, value in row.items() if key != "influence"}), influence=influence)
+
+
+PAPER_OPTIMAL = Optimal(PublishedEstimator(500), batch=1, common=False, strategy=STRATEGIES["paper"], plan=PAPER_PLAN)
 """The search of arXiv 2409.00011: 1000 draws of both models a design, 10 + 15 designs, the best observed wins."""
 
 
 @dataclass(frozen=True)
-class Random:
+class Random(_WithoutSearch):
     """Designs drawn uniformly from the space, each for itself."""
 
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
@@ -168,7 +197,7 @@ class Random:
 
 
 @dataclass(frozen=True)
-class SpaceFilling:
+class SpaceFilling(_WithoutSearch):
     """Designs of a scrambled Sobol sequence, which leaves no region out and repeats none."""
 
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
@@ -179,7 +208,7 @@ class SpaceFilling:
 
 
 @dataclass(frozen=True)
-class Fixed:
+class Fixed(_WithoutSearch):
     """A list of designs made before, in order.
 
     Args:

@@ -12,6 +12,10 @@ With your own gel, ask and tell in turn; the folder remembers everything:
 Told files carry their achieved design: Rmax and R_inf are measured from the curves. A campaign that was cut off
 continues with --resume, with the same result as if it had not been.
 
+What to prepare for a day in the laboratory, three designs chosen together:
+
+  imr-torch campaign --models nhkv,gen_qkv --out gel8 --q 3
+
 What to compare with, and when to end:
 
   imr-torch campaign --case soft-pa --designs 5 --policy random --stop sd=0.01,probability=0.99 --out baseline
@@ -90,6 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "as in arXiv 2409.00011, to compare with",
     )
     parser.add_argument("--out", metavar="DIR", required=True, help="folder of the journal, figures and JSON")
+    parser.add_argument("--q", type=int, default=1, help="designs to choose together, shoot and learn from at once (default 1)")
     parser.add_argument("--resume", action="store_true", help="continue the journal in --out")
     parser.add_argument("--tell", nargs="+", metavar="FILE", help="files of an experiment you made")
     parser.add_argument("--layout", metavar="TEXT", help="how to read told files, as for characterize")
@@ -112,6 +117,8 @@ def run(args: argparse.Namespace) -> None:
         raise InputDataError(f"{folder} holds no journal to resume; leave --resume away to start one.")
     if args.designs < 1:
         raise InputDataError(f"--designs is {args.designs}; expected at least 1.")
+    if args.q < 1:
+        raise InputDataError(f"--q is {args.q}; expected at least 1.")
     simulator = simulator_of(args)
     settings = settings_of(args)
     campaign = Campaign(folder, prior_of(args), simulator, settings=settings, seed=args.seed, note={"case": args.case})
@@ -165,7 +172,7 @@ def _simulated(campaign: Campaign, case: ReferenceCase, args: argparse.Namespace
             )
         return laboratory.shoot(design, seed=child(args.seed, "shoot", number))
 
-    campaign.run(shoot, args.designs, progress=progress)
+    campaign.run(shoot, args.designs, q=args.q, progress=progress)
 
 
 def _real(campaign: Campaign, args: argparse.Namespace) -> None:
@@ -179,12 +186,16 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> None:
     if reason := campaign.reason_to_stop():
         print(f"Enough: {reason}")
         return
-    proposal = campaign.ask(progress=progress)
-    where = campaign.settings.space.describe(proposal.design, campaign.simulator.conditions.surroundings)
-    expected = "" if proposal.gain is None else f"; expected gain {proposal.gain:.2f} +- {proposal.gain_sd:.2f} nats"
-    print(f"Shoot next: {where}{expected}")
-    if reason := campaign.reason_to_stop(proposal):
-        print(f"or leave it: {reason}")
+    proposals = campaign.ask_several(args.q, progress=progress)
+    for proposal in proposals:
+        where = campaign.settings.space.describe(proposal.design, campaign.simulator.conditions.surroundings)
+        expected = "" if proposal.gain is None else f"; expected gain {proposal.gain:.2f} +- {proposal.gain_sd:.2f} nats"
+        print(f"{'Shoot next' if proposal is proposals[0] else 'then'}: {where}{expected}")
+        if reason := campaign.reason_to_stop(proposal):
+            print(f"or leave it: {reason}")
+    gains = [proposal.gain for proposal in proposals if proposal.gain is not None]
+    if len(gains) > 1:
+        print(f"expected gain of all together {sum(gains):.2f} nats; each is what a design adds to those before it")
 
 
 def _report(campaign: Campaign, case: ReferenceCase | None, args: argparse.Namespace, seconds: float) -> None:

@@ -2,11 +2,13 @@
 
 imr-torch design --case stiff-pa --out next
 imr-torch design --belief posterior.json --we-range 150:600 --rinf-range 0.15:0.25
+imr-torch design --models nhkv,gen_qkv --q 3        # what to prepare for a day in the laboratory
 """
 
 import argparse
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from imr_torch.campaign import Optimal
 from imr_torch.cli.common import (
@@ -21,13 +23,19 @@ from imr_torch.cli.common import (
     write_result,
 )
 from imr_torch.design import (
-    POLICIES,
+    STRATEGIES,
+    AdaptiveContrastive,
     DesignSearch,
     DesignSpace,
-    Estimator,
     ExpectedInformationGain,
-    Method,
+    ImportanceSampling,
+    InformationEstimator,
+    Laplace,
+    NestedMonteCarlo,
     Plan,
+    PriorContrastive,
+    PublishedEstimator,
+    Target,
     search_design,
 )
 from imr_torch.observe import Nuisance
@@ -35,6 +43,14 @@ from imr_torch.plot import plot_information
 
 _PUBLISHED_REPEATS, _REPEATS = 100, 10
 _MEASURED = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)  # of curves filmed in a laboratory
+ESTIMATORS: dict[str, Callable[[int], InformationEstimator]] = {
+    "laplace": Laplace,
+    "importance": ImportanceSampling,
+    "adaptive": AdaptiveContrastive,
+    "nested": NestedMonteCarlo,
+    "contrastive": PriorContrastive,
+    "paper": PublishedEstimator,
+}
 NAME = "design"
 SUMMARY = "the most informative next experiment"
 
@@ -42,9 +58,17 @@ SUMMARY = "the most informative next experiment"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the subcommand."""
     add_space_arguments(parser)
-    parser.add_argument("--policy", choices=tuple(POLICIES), default="qLogNEI", help="how designs are chosen (default qLogNEI)")
     parser.add_argument(
-        "--estimator", choices=get_args(Method), default="laplace", help="of the information gain (default laplace)"
+        "--q", type=int, default=1, help="designs to prepare together, each chosen beside those before it (default 1)"
+    )
+    parser.add_argument(
+        "--target", choices=get_args(Target), default="both", help="what the information is to be about (default both)"
+    )
+    parser.add_argument(
+        "--strategy", choices=tuple(STRATEGIES), default="qLogNEI", help="how designs to evaluate are chosen (default qLogNEI)"
+    )
+    parser.add_argument(
+        "--estimator", choices=tuple(ESTIMATORS), default="laplace", help="of the information gain (default laplace)"
     )
     parser.add_argument("--draws", type=int, default=32, help="draws per model of each estimate (default 32)")
     parser.add_argument("--out", metavar="DIR", help="folder for the map and JSON")
@@ -93,21 +117,40 @@ def run(args: argparse.Namespace) -> None:
     """Search and report."""
     simulator, space = simulator_of(args), space_of(args)
     acquisition = ExpectedInformationGain(
-        prior_of(args), simulator, plan=plan_of(args), space=space, estimator=Estimator(args.estimator, args.draws)
+        prior_of(args), simulator, ESTIMATORS[args.estimator](args.draws), target=args.target, plan=plan_of(args), space=space
     )
     search = search_design(
         acquisition,
         seed=args.seed,
+        q=args.q,
         evaluations=args.evaluations,
         initial=min(Optimal.initial, args.evaluations),
         batch=Optimal.batch,
-        policy=POLICIES[args.policy],
+        strategy=STRATEGIES[args.strategy],
         progress=progress_of(args),
     )
-    best = search.recommendation
-    print(f"Shoot {space.describe(best.design, simulator.conditions.surroundings)}")
-    print(f"expected information gain {best.mean:.3f} +- {best.sd:.3f} nats")
-    if args.out:
-        print(f"wrote {save_figure(plot_information(search), Path(args.out), 'information')}")
-    design = {"We": float(best.design[0]), "R_inf*": float(best.design[1])}
-    write_result(args, {"design": design, "eig": best.mean, "eig_sd": best.sd, "evaluations": search_to_dict(search)})
+    steps = (*search.earlier, search)
+    for number, step in enumerate(steps, start=1):
+        best, where = step.recommendation, space.describe(step.recommendation.design, simulator.conditions.surroundings)
+        print(f"Shoot {where}")
+        print(f"{'adds' if number > 1 else 'expected information gain'} {best.mean:.3f} +- {best.sd:.3f} nats")
+        if args.out:
+            name = "information" if number == 1 else f"information_{number}"
+            print(f"wrote {save_figure(plot_information(step), Path(args.out), name)}")
+    if len(steps) > 1:
+        print(f"together {search.joint:.3f} nats")
+    write_result(args, search_document(steps))
+
+
+def search_document(steps: Sequence[DesignSearch]) -> dict[str, Any]:
+    """JSON-ready result of the searches for one or more designs."""
+    rows = [
+        {
+            "design": {"We": float(step.recommendation.design[0]), "R_inf*": float(step.recommendation.design[1])},
+            "eig": step.recommendation.mean,
+            "eig_sd": step.recommendation.sd,
+            "evaluations": search_to_dict(step),
+        }
+        for step in steps
+    ]
+    return rows[0] | ({"joint_eig": steps[-1].joint, "further": rows[1:]} if len(rows) > 1 else {})

@@ -3,40 +3,47 @@
 from imr_torch.design.acquisition import ExpectedInformationGain
 from imr_torch.design.closed_form import linear_gaussian_gain
 from imr_torch.design.eig import Bracket, expected_information_gain, gains_of_each, information_bracket
-from imr_torch.design.gain import Estimator, InformationGain, Method
-from imr_torch.design.optimizer import (
-    POLICIES,
-    Cost,
-    DesignOptimizer,
-    DesignSearch,
-    Policy,
-    Recommendation,
-    search_design,
-    tell_gain,
-)
+from imr_torch.design.estimator import InformationEstimator
+from imr_torch.design.gain import ErrorParts, InformationGain, Target, separate_errors
+from imr_torch.design.importance import AdaptiveContrastive, ImportanceSampling
+from imr_torch.design.laplace import Laplace
+from imr_torch.design.nested import NestedMonteCarlo, PriorContrastive
+from imr_torch.design.optimizer import STRATEGIES, Cost, DesignOptimizer, Recommendation, Strategy
 from imr_torch.design.plan import PAPER_PLAN, Plan
+from imr_torch.design.published import PublishedEstimator
+from imr_torch.design.response import Shot
+from imr_torch.design.search import DesignSearch, SearchSettings, search_design
 from imr_torch.design.space import DESIGN_NAMES, DesignSpace
 
 __all__ = [
     "DESIGN_NAMES",
     "PAPER_PLAN",
-    "POLICIES",
+    "STRATEGIES",
+    "AdaptiveContrastive",
     "Bracket",
     "Cost",
     "DesignOptimizer",
     "DesignSearch",
     "DesignSpace",
-    "Estimator",
+    "ErrorParts",
     "ExpectedInformationGain",
+    "ImportanceSampling",
+    "InformationEstimator",
     "InformationGain",
-    "Method",
+    "Laplace",
+    "NestedMonteCarlo",
     "Plan",
-    "Policy",
+    "PriorContrastive",
+    "PublishedEstimator",
     "Recommendation",
+    "SearchSettings",
+    "Shot",
+    "Strategy",
+    "Target",
     "expected_information_gain",
     "gains_of_each",
     "information_bracket",
     "linear_gaussian_gain",
     "search_design",
-    "tell_gain",
+    "separate_errors",
 ]

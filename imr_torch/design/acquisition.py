@@ -1,13 +1,20 @@
 """The expected information gain as a BoTorch acquisition function over designs."""
 
+from copy import copy
+from typing import get_args
+
 import torch
 from botorch.acquisition import AcquisitionFunction
+from botorch.utils.transforms import t_batch_mode_transform
 from torch import Tensor
 
-from imr_torch.design.eig import expected_information_gain, gains_of_each
-from imr_torch.design.gain import Estimator, InformationGain
+from imr_torch.design.eig import expected_information_gain
+from imr_torch.design.estimator import InformationEstimator
+from imr_torch.design.gain import InformationGain, Target
+from imr_torch.design.laplace import Laplace
 from imr_torch.design.plan import Plan
 from imr_torch.design.space import DesignSpace
+from imr_torch.errors import InputDataError, ShapeError, UnsupportedError
 from imr_torch.material import Belief
 from imr_torch.simulate import Simulator
 
@@ -15,62 +22,126 @@ from imr_torch.simulate import Simulator
 class ExpectedInformationGain(AcquisitionFunction):
     """Joint information of ``q`` bubbles, in nats, as a BoTorch acquisition.
 
-    ``optimize_acqf(acq, bounds=space.bounds, q=q, ..., options={"with_grad": False})`` maximises it directly; with the
-    seed fixed all designs share their draws, so the surface is smooth. Its own Monte Carlo error is in :meth:`estimate`.
+    ``optimize_acqf(acq, bounds=space.bounds, q=q, ..., options={"with_grad": False})`` maximises it directly, and
+    :func:`~imr_torch.design.search_design` through a surrogate. Whatever is evaluated with one seed shares its draws, so the
+    surface is smooth and differences between designs are known better than their level. Its Monte Carlo error is in
+    :meth:`estimate`.
 
     Args:
         belief: what is thought of the gel now; takes the place of BoTorch's model.
         simulator: makes the bubbles.
+        estimator: how the gain is estimated; ``Laplace()`` if None.
+        target: what the information is about: the parameters given the model, which model it is, or both.
         plan: how the experiment will be observed.
         space: designs that may be asked about.
-        estimator: how the gain is estimated.
+        X_pending: ``m x 2`` tensor of designs that will be shot anyway with the same belief; the value is then the joint gain
+            of these and of ``X``, as BoTorch's Monte Carlo acquisitions have it.
         seed: of the draws.
+
+    Raises:
+        InputDataError: for an unknown target.
+
+    >>> from imr_torch.material import reference_case
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> belief = reference_case("soft-pa").prior
+    >>> gain = ExpectedInformationGain(belief, PolytropicSimulator(), Laplace(draws=2), target="model")
+    >>> X = torch.tensor([[[300.0, 0.2]], [[800.0, 0.25]]], dtype=torch.float64)  # batch_shape x q x 2
+    >>> gain(X).shape
+    torch.Size([2])
     """
 
     def __init__(
         self,
         belief: Belief,
         simulator: Simulator,
+        estimator: InformationEstimator | None = None,
         *,
+        target: Target = "both",
         plan: Plan | None = None,
         space: DesignSpace | None = None,
-        estimator: Estimator | None = None,
+        X_pending: Tensor | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__(model=None)  # type: ignore[arg-type]  # the belief is the model
+        if target not in get_args(Target):
+            raise InputDataError(f"target is {target!r}; expected one of {', '.join(get_args(Target))}.")
         self.belief, self.simulator, self.seed = belief, simulator, seed
-        self.estimator = estimator or Estimator()
+        self.estimator: InformationEstimator = estimator or Laplace()
+        self.target: Target = target
         self.plan, self.space = plan or Plan(), space or DesignSpace()
+        self.set_X_pending(X_pending)
 
-    def estimate(self, designs: Tensor) -> InformationGain:
-        """The gain of ``q x 2`` designs together, with its Monte Carlo error.
+    def set_X_pending(self, X_pending: Tensor | None = None) -> None:
+        """Designs (``m x 2``) that will be shot besides those asked about, or None.
+
+        Raises:
+            ShapeError: if the shape is not ``m x 2``.
+        """
+        if X_pending is not None and (X_pending.ndim != 2 or X_pending.shape[-1] != 2):
+            raise ShapeError(f"X_pending has shape {tuple(X_pending.shape)}; expected m x 2 with (We, R_inf*).")
+        super().set_X_pending(X_pending)
+
+    def with_pending(self, X_pending: Tensor | None) -> "ExpectedInformationGain":
+        """A copy with other pending designs (``m x 2`` or None); this one stays as it is."""
+        other = copy(self)
+        other.set_X_pending(X_pending)
+        return other
+
+    def estimate(self, designs: Tensor, *, seed: int | None = None) -> InformationGain:
+        """The joint gain of designs and pending designs, with its Monte Carlo error.
+
+        Args:
+            designs: ``q x 2`` tensor.
+            seed: of the draws; that of the acquisition if None.
 
         Raises:
             InputDataError: for a design outside the space.
         """
         self.space.check(designs)
-        return expected_information_gain(
-            self.belief, designs, self.simulator, self.plan, estimator=self.estimator, seed=self.seed
+        return self._joint(designs, seed)
+
+    def estimate_pending(self, *, seed: int | None = None) -> InformationGain | None:
+        """The joint gain of the pending designs alone, with the draws of :meth:`estimate`; None if none is pending."""
+        return None if self.X_pending is None else self._joint(self.X_pending[:0], seed)
+
+    def estimate_each(self, designs: Tensor, *, seed: int | None = None) -> list[InformationGain]:
+        """The gains of ``n x 2`` designs, each with the pending ones and not with the others, from common draws.
+
+        Raises:
+            InputDataError: for a design outside the space.
+        """
+        return [self.estimate(design, seed=seed) for design in designs.split(1)]
+
+    def _joint(self, designs: Tensor, seed: int | None) -> InformationGain:
+        if self.X_pending is not None:
+            designs = torch.cat((designs, self.X_pending.to(designs)))
+        gain = expected_information_gain(
+            self.belief,
+            designs,
+            self.simulator,
+            self.plan,
+            estimator=self.estimator,
+            seed=self.seed if seed is None else seed,
         )
+        return gain.only(self.target)
 
-    def estimate_each(self, designs: Tensor) -> list[InformationGain]:
-        """The gains of ``n x 2`` designs, each alone, from common draws.
-
-        Raises:
-            InputDataError: for a design outside the space.
-        """
-        self.space.check(designs)
-        return gains_of_each(self.belief, designs, self.simulator, self.plan, estimator=self.estimator, seed=self.seed)
-
-    def forward(self, X: Tensor) -> Tensor:
+    @t_batch_mode_transform()  # type: ignore[arg-type]  # its annotation wants AcquisitionFunction for self
+    def forward(self, X: Tensor) -> Tensor:  # type: ignore[override]
         """Gain of each batch of designs.
 
         Args:
-            X: ``batch_shape x q x 2`` tensor, (We, R_inf*).
+            X: ``batch_shape x q x 2`` tensor, (We, R_inf*); ``q x 2`` is one batch.
 
         Returns:
-            ``batch_shape`` tensor, nats.
+            ``batch_shape`` tensor, nats; NaN where too many bubbles failed.
+
+        Raises:
+            UnsupportedError: if gradients with respect to ``X`` are asked for.
         """
-        with torch.no_grad():
-            values = [self.estimate(designs).value for designs in X.reshape(-1, *X.shape[-2:])]
+        if X.requires_grad and torch.is_grad_enabled():
+            raise UnsupportedError(
+                "ExpectedInformationGain has no gradient with respect to the designs; call optimize_acqf with "
+                'options={"with_grad": False}, or use search_design.'
+            )
+        values = [self.estimate(designs).value for designs in X.reshape(-1, *X.shape[-2:])]
         return torch.tensor(values, dtype=X.dtype, device=X.device).reshape(X.shape[:-2])

@@ -1,39 +1,29 @@
 """Expected information gain of a design: how many nats an experiment is expected to tell about parameters and model.
 
-Nested Monte Carlo with one sample set is bounded by ``log N`` and saturates where experiments are most informative, which
-is where a search for designs looks. :class:`~imr_torch.design.gain.Estimator` chooses among it (``paper``), estimators
-that do not saturate, and bounds from either side; :func:`information_bracket` returns both bounds. In all of them
+Nested Monte Carlo with one sample set is bounded by ``log N`` and saturates where experiments are most informative, which is
+where a search for designs looks. The estimators that do not saturate, and bounds from either side, are objects
+(:mod:`~imr_torch.design.estimator`); :func:`information_bracket` returns both bounds. In all of them
 
     I(y; theta, m) = I(y; theta | m) + I(y; m),
 
 and several designs at once are stacked, so their gain is the joint one.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from imr_torch.design.gain import Estimator, InformationGain, Method
-from imr_torch.design.gaussian import importance, laplace
-from imr_torch.design.nested import nested, paper
+from imr_torch.design.estimator import InformationEstimator
+from imr_torch.design.gain import InformationGain
+from imr_torch.design.importance import AdaptiveContrastive, ImportanceSampling
+from imr_torch.design.laplace import Laplace
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Shot
 from imr_torch.errors import ShapeError
 from imr_torch.material import Belief
 from imr_torch.random import SeedLike, generator
 from imr_torch.simulate import Simulator
-
-_METHODS: dict[Method, Callable[[Shot, Estimator, torch.Generator], InformationGain]] = {
-    "laplace": laplace,
-    "importance": importance,
-    "adaptive": importance,
-    "nested": nested,
-    "contrastive": nested,
-    "paper": paper,
-}
 
 
 def expected_information_gain(
@@ -42,7 +32,7 @@ def expected_information_gain(
     simulator: Simulator,
     plan: Plan,
     *,
-    estimator: Estimator | None = None,
+    estimator: InformationEstimator | None = None,
     seed: SeedLike,
 ) -> InformationGain:
     """Gain of shooting ``q`` designs with one belief.
@@ -52,7 +42,7 @@ def expected_information_gain(
         designs: ``q x 2`` tensor, (We, R_inf*).
         simulator: makes the bubbles.
         plan: how they will be observed.
-        estimator: how the gain is estimated.
+        estimator: how the gain is estimated; ``Laplace()`` if None.
         seed: of draws and noise.
 
     Returns:
@@ -63,9 +53,8 @@ def expected_information_gain(
     """
     if designs.ndim != 2 or designs.shape[0] < 1 or designs.shape[1] != 2:
         raise ShapeError(f"designs has shape {tuple(designs.shape)}; expected q x 2 with (We, R_inf*).")
-    chosen = estimator or Estimator()
     with torch.no_grad():
-        return _METHODS[chosen.method](Shot(belief, designs, simulator, plan), chosen, generator(seed))
+        return (estimator or Laplace())(Shot(belief, designs, simulator, plan), generator(seed))
 
 
 def gains_of_each(
@@ -74,7 +63,7 @@ def gains_of_each(
     simulator: Simulator,
     plan: Plan,
     *,
-    estimator: Estimator | None = None,
+    estimator: InformationEstimator | None = None,
     seed: int,
 ) -> list[InformationGain]:
     """Gain of shooting each of ``n`` designs alone, all from the same draws.
@@ -117,26 +106,39 @@ def information_bracket(
     simulator: Simulator,
     plan: Plan,
     *,
-    proposal: Literal["posterior", "prior"] = "posterior",
-    estimator: Estimator | None = None,
+    lower: InformationEstimator | None = None,
+    upper: InformationEstimator | None = None,
     seed: int,
 ) -> Bracket:
-    """Bounds of the gain from below and above, from the same gels and noise.
+    """Bounds of the gain from below and above, from the same gels and noise if both make as many draws.
 
     Args:
         belief: what is thought of the gel now.
         designs: ``q x 2`` tensor, (We, R_inf*).
         simulator: makes the bubbles.
         plan: how they will be observed.
-        proposal: where inner samples come from: ``"posterior"`` is tight where experiments tell much; ``"prior"`` rests
-            on no linearisation, and is tight only where the gain is below ``log(inner)``.
-        estimator: numbers of samples; its method is not used.
+        lower: estimator whose expected value is below the gain; ``AdaptiveContrastive()`` if None, which is tight where
+            experiments tell much. ``PriorContrastive`` rests on no linearisation, and is tight only below ``log(inner)``.
+        upper: estimator whose expected value is above it; ``ImportanceSampling()`` if None. The partner of
+            ``PriorContrastive`` is ``NestedMonteCarlo``.
         seed: of draws and noise.
+
+    >>> from imr_torch.material import reference_case
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> bounds = information_bracket(
+    ...     reference_case("soft-pa").prior,
+    ...     torch.tensor([[400.0, 0.2]], dtype=torch.float64),
+    ...     PolytropicSimulator(),
+    ...     Plan(),
+    ...     lower=AdaptiveContrastive(draws=8, inner=8),
+    ...     upper=ImportanceSampling(draws=8, inner=8),
+    ...     seed=0,
+    ... )
+    >>> bounds.lower.value < bounds.upper.value
+    True
     """
-    methods: tuple[Method, Method] = ("adaptive", "importance") if proposal == "posterior" else ("contrastive", "nested")
-    chosen = estimator or Estimator()
-    lower, upper = (
-        expected_information_gain(belief, designs, simulator, plan, estimator=replace(chosen, method=method), seed=seed)
-        for method in methods
-    )
-    return Bracket(lower, upper)
+    found = [
+        expected_information_gain(belief, designs, simulator, plan, estimator=estimator, seed=seed)
+        for estimator in (lower or AdaptiveContrastive(), upper or ImportanceSampling())
+    ]
+    return Bracket(*found)

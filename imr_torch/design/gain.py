@@ -1,58 +1,21 @@
-"""An information gain with everything that says how far to trust it, and the options of its estimation."""
+"""An information gain with its Monte Carlo error, and how estimates of several strata (one per model) are combined.
+
+The error is kept draw by draw: the *influence* of a draw on an estimate is its share of the deviation from the expected value,
+so the variance is the sum of squares of the influences, and the covariance of two estimates that used the same draws is the
+sum of products. :func:`separate_errors` takes from the errors of many designs the part that all of them share.
+"""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, get_args
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import torch
 from torch import Tensor
 
-from imr_torch.errors import InputDataError
-
 _ENOUGH = 0.5  # share of draws that must be simulated for an estimate to count
 
-Method = Literal["laplace", "importance", "adaptive", "nested", "contrastive", "paper"]
-
-
-@dataclass(frozen=True)
-class Estimator:
-    """How an information gain is estimated. All methods agree for many samples; what differs is how many that takes.
-
-    | method | evidence of each datum | expected value |
-    |---|---|---|
-    | ``laplace`` | Gaussian, linearised at a draw | exact for linear-Gaussian models |
-    | ``importance`` | draws from the Gauss-Newton posterior | above the gain by its ``bias``; exact likewise |
-    | ``adaptive`` | the same, the datum's own gel among the draws | below the gain, at most ``log(inner)`` |
-    | ``nested`` | fresh draws of the prior, shared by all data | above the gain |
-    | ``contrastive`` | the same, the datum's own gel among the draws | below the gain, and below ``log(inner)`` per model |
-    | ``paper`` | the data's own gels, used again | below ``log`` of the number of draws |
-
-    Args:
-        method: which. ``laplace`` is the cheapest and ranks designs; ``importance`` says how much the chosen one tells.
-        draws: gels per constitutive model that data are made of (``paper``: on average, in proportion to probability).
-        inner: draws behind each evidence: per datum and model, or (prior draws) per model.
-        refinements: Gauss-Newton iterations that place the proposal where no datum's own gel can be the start.
-        defence: share of each datum's inner samples from a wider proposal; 0 makes linear-Gaussian models exact.
-    """
-
-    method: Method = "laplace"
-    draws: int = 64
-    inner: int = 32
-    refinements: int = 5
-    defence: float = 0.25
-
-    def __post_init__(self) -> None:
-        if self.method not in get_args(Method):
-            raise InputDataError(f"Estimator.method is {self.method!r}; expected one of {', '.join(get_args(Method))}.")
-        if self.draws < 2:
-            raise InputDataError(f"Estimator.draws is {self.draws}; at least 2 are needed for an error estimate.")
-        if self.inner < 2:
-            raise InputDataError(f"Estimator.inner is {self.inner}; at least 2 are needed for an error estimate.")
-        if self.refinements < 0:
-            raise InputDataError(f"Estimator.refinements is {self.refinements}; expected 0 or more.")
-        if not 0.0 <= self.defence <= 0.5:
-            raise InputDataError(f"Estimator.defence is {self.defence}; expected a share in [0, 0.5].")
+Target = Literal["parameters", "model", "both"]
 
 
 @dataclass(frozen=True)
@@ -69,6 +32,12 @@ class InformationGain:
             posteriors that the samples did not see, so compare two sizes of ``inner``.
         effective: inner draws that effectively carry an evidence (Kish 1965), mean over data; near 1 the value is a bound.
         model_variance: Monte Carlo variance of the gain about the model alone.
+        parameters_variance: Monte Carlo variance of the gain about the parameters alone.
+        influence: influence of each draw on ``(parameters, model)``, nats; empty if the estimator does not say.
+
+    >>> gain = InformationGain(2.0, 0.5, variance=0.01, counted=64, drawn=64)
+    >>> gain.value, gain.only("model").value, gain.failed
+    (2.5, 0.5, False)
     """
 
     parameters: float
@@ -79,6 +48,8 @@ class InformationGain:
     bias: float | None = None
     effective: float | None = None
     model_variance: float = 0.0
+    parameters_variance: float = 0.0
+    influence: tuple[tuple[float, float], ...] = field(default=(), repr=False)
 
     @property
     def failed(self) -> bool:
@@ -90,6 +61,16 @@ class InformationGain:
         """The whole gain; NaN when the evaluation failed."""
         return math.nan if self.failed else self.parameters + self.model
 
+    def only(self, target: Target) -> "InformationGain":
+        """The gain about the parameters alone, about the model alone, or unchanged (``"both"``)."""
+        if target == "both":
+            return self
+        if target == "model":
+            influence = tuple((0.0, model) for _, model in self.influence)
+            return replace(self, parameters=0.0, variance=self.model_variance, parameters_variance=0.0, influence=influence)
+        influence = tuple((parameters, 0.0) for parameters, _ in self.influence)
+        return replace(self, model=0.0, variance=self.parameters_variance, model_variance=0.0, influence=influence)
+
 
 @dataclass(frozen=True)
 class Terms:
@@ -98,16 +79,15 @@ class Terms:
     Args:
         weight: probability of the model.
         parameters: ``n`` tensor, gain about the parameters from each datum.
-        model: ``n`` tensor, gain about the model.
-        drawn: draws asked for.
-        control: ``drawn`` tensor with mean zero, added to the parameters' gain to reduce its variance; the rows of data
-            that could be simulated come first.
+        model: ``m`` tensor with ``m <= n``, gain about the model from the first ``m`` data.
+        order: ``drawn`` tensor of the numbers of all draws, those that gave a datum first and in the order of the data.
+        control: ``drawn`` tensor with mean zero in that order, added to the parameters' gain to reduce its variance.
     """
 
     weight: float
     parameters: Tensor
     model: Tensor
-    drawn: int
+    order: Tensor
     control: Tensor | None = None
 
     def mean(self) -> tuple[float, float]:
@@ -117,34 +97,88 @@ class Terms:
         control = 0.0 if self.control is None else float(self.control.mean())
         return float(self.parameters.mean()) + control, float(self.model.mean())
 
-    def variance(self) -> float:
-        """Variance of the mean of the sum of both."""
-        total = self.parameters + self.model
-        if len(total) < 2:
-            return 0.0
+    def influence(self) -> Tensor:
+        """``drawn x 2`` tensor: influence of each draw, in the order drawn, on the weighted means."""
+        count, found = len(self.order), torch.zeros(len(self.order), 2, dtype=torch.float64)
         if self.control is None:
-            return float(total.var()) / len(total)
-        influence = self.control - self.control.mean()  # that of each draw, of which some carry no datum
-        influence[: len(total)] += (total - total.mean()) * (self.drawn / len(total))
-        return float(influence.square().sum()) / (self.drawn * (self.drawn - 1))
+            found[self.order[: len(self.parameters)], 0] = _deviations(self.parameters)
+        else:
+            influence = self.control - self.control.mean()
+            n = len(self.parameters)
+            if n:
+                influence[:n] += (self.parameters - self.parameters.mean()) * (count / n)
+            found[self.order, 0] = influence / math.sqrt(count * (count - 1))
+        found[self.order[: len(self.model)], 1] = _deviations(self.model)
+        return self.weight * found
+
+
+def _deviations(values: Tensor) -> Tensor:
+    """Deviations from the mean, scaled so that their squares sum to the variance of the mean."""
+    count = len(values)
+    return (values - values.mean()) / math.sqrt(count * (count - 1)) if count > 1 else torch.zeros_like(values)
 
 
 def summarise(
-    terms: Sequence[Terms], *, shared: float = 0.0, bias: float | None = None, effective: float | None = None
+    terms: Sequence[Terms], *, shared: Tensor | None = None, bias: float | None = None, effective: float | None = None
 ) -> InformationGain:
     """The gain of independent strata, one per model.
 
     Args:
         terms: one per model.
-        shared: variance from samples that all data share.
+        shared: ``k x 2`` tensor, influence of samples that all data share.
         bias: of the whole.
         effective: inner draws that carry an evidence.
     """
     means = torch.tensor([t.mean() for t in terms], dtype=torch.float64)
     weights = torch.tensor([t.weight for t in terms], dtype=torch.float64)
     parameters, model = (weights @ means).tolist()
-    variance = sum(t.weight**2 * t.variance() for t in terms) + shared
-    counted = sum(len(t.parameters) for t in terms)
-    of_model = sum(t.weight**2 * float(t.model.var()) / len(t.model) for t in terms if len(t.model) > 1)
-    drawn = sum(t.drawn for t in terms)
-    return InformationGain(parameters, model, variance, counted, drawn, bias, effective, of_model)
+    parts = [t.influence() for t in terms] + ([] if shared is None else [shared])
+    counted, drawn = sum(len(t.parameters) for t in terms), sum(len(t.order) for t in terms)
+    return with_influence(InformationGain(parameters, model, 0.0, counted, drawn, bias, effective), torch.cat(parts))
+
+
+def with_influence(gain: InformationGain, influence: Tensor) -> InformationGain:
+    """The gain with the influence of each draw (``n x 2``) and the variances that follow from it."""
+    of_parameters, of_model = influence.square().sum(0).tolist()
+    known = bool(torch.isfinite(influence).all())
+    return replace(
+        gain,
+        variance=float(influence.sum(1).square().sum()),
+        parameters_variance=of_parameters,
+        model_variance=of_model,
+        influence=tuple((a, b) for a, b in influence.tolist()) if known else (),
+    )
+
+
+@dataclass(frozen=True)
+class ErrorParts:
+    """Monte Carlo errors of ``n`` gains, taken apart.
+
+    Args:
+        own: ``n`` tensor of variances such that two of them sum, on average over pairs, to the variance of a difference.
+        common: variance of the mean of the gains, which shifts all of them alike.
+    """
+
+    own: Tensor
+    common: float
+
+
+def separate_errors(gains: Sequence[InformationGain]) -> ErrorParts:
+    """Take the error that gains from common draws share apart from the error of their differences.
+
+    With influences ``psi_jn`` of draw ``n`` on gain ``j``, the variance of the difference of two gains is ``sum_n (psi_jn -
+    psi_kn)^2``. What is left of ``psi_jn`` after subtracting its mean over ``j`` gives each gain a variance of its own. Gains
+    whose draws cannot be matched keep their whole variance, and nothing is common.
+
+    >>> a = InformationGain(1.0, 0.0, 0.02, 2, 2, influence=((0.1, 0.0), (-0.1, 0.0)))
+    >>> b = InformationGain(3.0, 0.0, 0.02, 2, 2, influence=((0.1, 0.0), (-0.1, 0.0)))
+    >>> separate_errors([a, b])  # the same error in both: their difference is exact
+    ErrorParts(own=tensor([0., 0.], dtype=torch.float64), common=0.020000000000000004)
+    """
+    sizes = {len(gain.influence) for gain in gains}
+    if len(gains) < 2 or len(sizes) != 1 or 0 in sizes:
+        return ErrorParts(torch.tensor([gain.variance for gain in gains], dtype=torch.float64), 0.0)
+    influence = torch.tensor([gain.influence for gain in gains], dtype=torch.float64).sum(-1)
+    mean = influence.mean(0)
+    own = (influence - mean).square().sum(1) * (len(gains) / (len(gains) - 1))
+    return ErrorParts(own, float(mean.square().sum()))

@@ -26,15 +26,11 @@ from botorch.utils.sampling import draw_sobol_normal_samples, draw_sobol_samples
 from gpytorch.mlls import ExactMarginalLogLikelihood
 from torch import Tensor
 
-from imr_torch.design.acquisition import ExpectedInformationGain
-from imr_torch.design.gain import InformationGain
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.random import child
-from imr_torch.types import Progress
 
 _LEAST_NOISE = 2e-6  # variance over that of the told values: below 1e-6 GPyTorch rounds up, and warns
-_SMALLEST_VARIANCE = 1e-8  # nats^2: draws may agree exactly, and a known noise of 0 is no noise model
 _SCATTERED = 64  # achieved designs that stand for the scatter about one that was asked for
 _RESTARTS, _RAW = 8, 128
 
@@ -43,7 +39,7 @@ Cost = Callable[[Tensor], Tensor]
 
 
 @dataclass(frozen=True)
-class Policy:
+class Strategy:
     """How the next design is chosen, and the last.
 
     Args:
@@ -59,17 +55,17 @@ class Policy:
 
     def __post_init__(self) -> None:
         if self.acquisition not in ("qLogNEI", "qEI"):
-            raise InputDataError(f"Policy.acquisition is {self.acquisition!r}; expected 'qLogNEI' or 'qEI'.")
+            raise InputDataError(f"Strategy.acquisition is {self.acquisition!r}; expected 'qLogNEI' or 'qEI'.")
         if self.incumbent not in ("posterior mean", "best observed"):
-            raise InputDataError(f"Policy.incumbent is {self.incumbent!r}; expected 'posterior mean' or 'best observed'.")
+            raise InputDataError(f"Strategy.incumbent is {self.incumbent!r}; expected 'posterior mean' or 'best observed'.")
         if not 0.0 <= self.improvement < math.inf or (self.improvement and self.acquisition != "qEI"):
             raise InputDataError(
-                f"Policy.improvement is {self.improvement}; expected a finite number >= 0, and 0 for 'qLogNEI'."
+                f"Strategy.improvement is {self.improvement}; expected a finite number >= 0, and 0 for 'qLogNEI'."
             )
 
 
-POLICIES = {"qLogNEI": Policy(), "qEI": Policy("qEI"), "paper": Policy("qEI", 0.01, "best observed")}
-"""Key -> policy; ``paper`` is that of arXiv 2409.00011."""
+STRATEGIES = {"qLogNEI": Strategy(), "qEI": Strategy("qEI"), "paper": Strategy("qEI", 0.01, "best observed")}
+"""Key -> strategy; ``paper`` is that of arXiv 2409.00011."""
 
 
 @dataclass(frozen=True)
@@ -96,16 +92,16 @@ class DesignOptimizer:
         space: designs that may be asked.
         seed: of Sobol points, acquisition samples and restarts.
         initial: space-filling designs before the surrogate is used.
-        policy: how designs are chosen.
+        strategy: how designs are chosen.
         cost: of an experiment; 1 when not given.
     """
 
     def __init__(
-        self, space: DesignSpace, *, seed: int, initial: int = 8, policy: Policy | None = None, cost: Cost | None = None
+        self, space: DesignSpace, *, seed: int, initial: int = 8, strategy: Strategy | None = None, cost: Cost | None = None
     ) -> None:
         if initial < 2:
             raise InputDataError(f"initial is {initial}; at least 2 designs are needed before a surrogate can be fitted.")
-        self.space, self.seed, self.policy, self.cost = space, seed, policy or Policy(), cost
+        self.space, self.seed, self.strategy, self.cost = space, seed, strategy or Strategy(), cost
         self.initial = initial if space.choices is None else max(2, min(initial, len(space.choices)))
         self.train_X = torch.empty(0, 2, dtype=torch.float64)
         self.train_Y = torch.empty(0, 1, dtype=torch.float64)
@@ -162,8 +158,8 @@ class DesignOptimizer:
         return self._fit(Normalize(d=2, bounds=self.space.bounds))
 
     def recommend(self) -> Recommendation:
-        """The incumbent of the policy: by default the maximum of the surrogate's posterior mean over the space."""
-        if self.policy.incumbent == "best observed" and len(self.train_X):
+        """The incumbent of the strategy: by default the maximum of the surrogate's posterior mean over the space."""
+        if self.strategy.incumbent == "best observed" and len(self.train_X):
             value, variance = self._utility()
             best = int(value.argmax())
             return Recommendation(self.train_X[best], float(value[best]), float(variance[best].sqrt()))
@@ -219,14 +215,14 @@ class DesignOptimizer:
     def _acquisition(self, pending: Tensor) -> AcquisitionFunction:
         model, transform = self._scattered_model(), self._over_scatter
         waiting = pending if len(pending) else None
-        if self.policy.acquisition == "qLogNEI" and transform is None:
+        if self.strategy.acquisition == "qLogNEI" and transform is None:
             return qLogNoisyExpectedImprovement(model, X_baseline=self.train_X, prune_baseline=True, X_pending=waiting)
         best = self._utility()[0].amax()
-        if self.policy.incumbent == "posterior mean":
+        if self.strategy.incumbent == "posterior mean":
             with torch.no_grad():
                 best = model.posterior(self.train_X[:, None], posterior_transform=transform).mean.amax()
-        kind = qExpectedImprovement if self.policy.acquisition == "qEI" else qLogExpectedImprovement
-        return kind(model, best_f=best + self.policy.improvement, posterior_transform=transform, X_pending=waiting)
+        kind = qExpectedImprovement if self.strategy.acquisition == "qEI" else qLogExpectedImprovement
+        return kind(model, best_f=best + self.strategy.improvement, posterior_transform=transform, X_pending=waiting)
 
     def _maximise(self, acquisition: AcquisitionFunction, q: int, *, avoid: Tensor | None = None) -> Tensor:
         """The ``q x 2`` designs of the space where an acquisition is largest."""
@@ -243,99 +239,3 @@ class DesignOptimizer:
         else:
             best, _ = optimize_acqf(acquisition, bounds, q=q, num_restarts=_RESTARTS, raw_samples=_RAW)
         return best.detach()
-
-
-@dataclass(frozen=True)
-class DesignSearch:
-    """A finished search for the most informative design.
-
-    Args:
-        recommendation: the design to shoot.
-        designs: ``n x 2`` tensor of all evaluated designs.
-        gains: their information gains, in the same order.
-        optimizer: the optimizer, whose surrogate can be drawn.
-    """
-
-    recommendation: Recommendation
-    designs: Tensor
-    gains: tuple[InformationGain, ...]
-    optimizer: DesignOptimizer
-
-
-def tell_gain(optimizer: DesignOptimizer, design: Tensor, gain: InformationGain) -> None:
-    """Tell the gain of one design (``2`` tensor), unless too many of its bubbles failed for it to count."""
-    if math.isfinite(gain.value):
-        value = torch.tensor([[gain.value]], dtype=torch.float64)
-        optimizer.tell(design[None], value, torch.full_like(value, max(gain.variance, _SMALLEST_VARIANCE)))
-
-
-def search_design(
-    acquisition: ExpectedInformationGain,
-    *,
-    seed: int,
-    evaluations: int = 25,
-    initial: int = 10,
-    batch: int = 1,
-    policy: Policy | None = None,
-    cost: Cost | None = None,
-    common: bool = True,
-    progress: Progress | None = None,
-) -> DesignSearch:
-    """Find the design of largest expected information gain by Bayesian optimisation.
-
-    Args:
-        acquisition: the information gain; its space is searched.
-        seed: of the search.
-        evaluations: designs evaluated in all.
-        initial: of which space-filling.
-        batch: designs asked for together after those; the bubbles of several are simulated in less time than of one after
-            the other, and the surrogate is asked less often.
-        policy: how designs are chosen.
-        cost: of an experiment; 1 when not given.
-        common: whether all evaluations share their draws and noise, which cancels from differences between designs and
-            halves the regret (``benchmarks/RESULTS.md``); the error of the gain's level does not shrink then.
-        progress: called with one line per evaluation.
-
-    Returns:
-        The search; evaluations too many of whose bubbles failed are in it and were not told to the surrogate.
-
-    Raises:
-        InputDataError: for fewer evaluations than initial designs, or an empty batch.
-    """
-    if evaluations < initial or batch < 1:
-        raise InputDataError(
-            f"evaluations is {evaluations}, fewer than the {initial} initial designs; raise it."
-            if evaluations < initial
-            else f"batch is {batch}; expected at least 1."
-        )
-    optimizer = DesignOptimizer(acquisition.space, seed=seed, initial=initial, policy=policy, cost=cost)
-    designs, gains, failed = torch.empty(0, 2, dtype=torch.float64), [], torch.empty(0, 2, dtype=torch.float64)
-    while len(gains) < evaluations:
-        most = batch if acquisition.space.choices is None else min(batch, len(acquisition.space.choices) - len(failed))
-        asked = optimizer.ask(min(most, evaluations - len(gains)) if gains else optimizer.initial, pending=failed)
-        for design, gain in zip(asked, _evaluate(acquisition, asked, seed, len(gains), common), strict=True):
-            designs = torch.cat((designs, design[None]))
-            gains.append(gain)
-            tell_gain(optimizer, design, gain)
-            if gain.failed:
-                failed = torch.cat((failed, design[None]))
-            if progress:
-                progress(
-                    f"design {len(gains)}/{evaluations}: We {float(design[0]):6.1f}  R_inf* {float(design[1]):.3f}  "
-                    f"EIG {gain.value:.3f} +- {gain.variance**0.5:.3f} nats"
-                )
-    return DesignSearch(optimizer.recommend(), designs, tuple(gains), optimizer)
-
-
-def _evaluate(
-    acquisition: ExpectedInformationGain, designs: Tensor, seed: int, done: int, common: bool
-) -> list[InformationGain]:
-    """Gains of designs each alone, from draws common to a whole search or of each evaluation's own."""
-    if common:
-        acquisition.seed = child(seed, "eig", 0)
-        return acquisition.estimate_each(designs)
-    gains = []
-    for number, design in enumerate(designs, start=done):
-        acquisition.seed = child(seed, "eig", number)
-        gains.append(acquisition.estimate(design[None]))
-    return gains

@@ -8,20 +8,19 @@ nominal value the best design is that of one gel, which need not be this one. It
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.design import (
-    DesignOptimizer,
     DesignSpace,
-    Estimator,
     ExpectedInformationGain,
     InformationGain,
+    Laplace,
     Plan,
-    tell_gain,
+    SearchSettings,
 )
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.material import LIBRARY, Belief
@@ -30,19 +29,6 @@ from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 _LEFT = 0.02  # a cause less probable than this is not worth an experiment
-
-
-class IdentityInformation(ExpectedInformationGain):
-    """Information about which model (or cause) is true, in nats, as a BoTorch acquisition.
-
-    Arguments are those of :class:`imr_torch.design.ExpectedInformationGain`; what the experiment would tell of the parameters
-    does not count. It works wherever that does, :func:`imr_torch.design.search_design` included.
-    """
-
-    def estimate(self, designs: Tensor) -> InformationGain:
-        """The gain of ``q x 2`` designs together, with its Monte Carlo error."""
-        gain = super().estimate(designs)
-        return replace(gain, parameters=0.0, variance=gain.model_variance)
 
 
 @dataclass(frozen=True)
@@ -139,28 +125,22 @@ def identity_design(
     space = space or DesignSpace()
     designs = _grid(space, grid)
 
-    def evaluate(design: Tensor, label: str) -> InformationGain:
-        estimator = Estimator(draws=draws)
-        information = IdentityInformation(
-            belief, simulator, plan=plan, space=space, estimator=estimator, seed=child(seed, label)
-        )
-        return information.estimate(design[None])
-
+    acquisition = ExpectedInformationGain(
+        belief, simulator, Laplace(draws=draws, rivals=draws), target="model", plan=plan, space=space
+    )
     found: list[InformationGain] = []
-    optimizer = DesignOptimizer(space, seed=child(seed, "surrogate"))
     for design in designs:
-        gain = evaluate(design, "grid")
+        gain = acquisition.estimate(design[None], seed=child(seed, "grid"))
         found.append(gain)
-        tell_gain(optimizer, design, gain)
         if progress:
             we, rinf_star = design.tolist()
             progress(f"next design {len(found)}/{len(designs)}: We {we:.0f}, R_inf* {rinf_star:.3f}: {gain.value:.3f} nats")
-    if len(optimizer.train_X) < 2:
-        raise ConvergenceError(
-            f"Too many bubbles failed at {len(designs) - len(optimizer.train_X)} of {len(designs)} designs; narrow the space."
-        )
-    best = optimizer.recommend().design
-    gain = evaluate(best, "best")
+    failed = sum(gain.failed for gain in found)
+    if len(designs) - failed < 2:
+        raise ConvergenceError(f"Too many bubbles failed at {failed} of {len(designs)} designs; narrow the space.")
+    settings = SearchSettings(child(seed, "surrogate"), initial=2)
+    best = settings.finish(space, designs, found, None).recommendation.design
+    gain = acquisition.estimate(best[None], seed=child(seed, "best"))
     return NextDesign(
         design=best,
         gain=gain.value,

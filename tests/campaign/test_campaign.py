@@ -9,7 +9,7 @@ import torch
 
 from imr_torch.assimilate import SearchOptions
 from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Journal, Optimal, Random
-from imr_torch.design import Estimator, Plan
+from imr_torch.design import Laplace, Plan
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS, Belief, reference_case
 from imr_torch.observe import Experiment, Noise, Nuisance, SimulatedLaboratory
@@ -21,7 +21,7 @@ SIMULATOR = PolytropicSimulator(stepping=Stepping(0.25))
 TIMES = torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
 SETTINGS = CampaignSettings(
     plan=Plan(times=TIMES, repeats=20),
-    policy=Optimal(Estimator(draws=3), evaluations=5, initial=4),
+    policy=Optimal(Laplace(draws=3, rivals=3), evaluations=5, initial=4),
     learner=ExactLearner(32, SearchOptions(scouts=24, starts=2)),
 )
 LABORATORY = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(CASE.truth), repeats=20, times=TIMES)

@@ -23,7 +23,7 @@ from imr_torch.campaign import (
     Situation,
     SpaceFilling,
 )
-from imr_torch.design import PAPER_PLAN, POLICIES, DesignSpace, Estimator, Plan
+from imr_torch.design import PAPER_PLAN, STRATEGIES, DesignSpace, Laplace, Plan, PublishedEstimator
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
@@ -33,7 +33,7 @@ from tests.linear import NOISE, LinearSimulator, prior, tensor
 SPACE = DesignSpace(weber=(200.0, 900.0), rest_radius=(0.15, 0.25))
 PLAN = Plan(torch.linspace(0.1, 2.0, 9, dtype=torch.float64), repeats=4, noise=NOISE, collapses=None)
 LISTED = Fixed(((300.0, 0.2), (500.0, 0.16), (700.0, 0.24)))
-QUICK = Optimal(Estimator(draws=3), evaluations=4, initial=3)
+QUICK = Optimal(Laplace(draws=3, rivals=3), evaluations=4, initial=3)
 LEARNERS = {"exact": ExactLearner(32, SearchOptions(scouts=24)), "paper": PaperLearner(PublishedOptions(12, 2, 2))}
 POLICIES_HERE = {"optimal": QUICK, "random": Random(), "space-filling": SpaceFilling(), "fixed": LISTED}
 LABORATORY = SimulatedLaboratory(
@@ -99,7 +99,7 @@ def test_a_list_is_shot_in_order_and_its_end_is_an_error():
 
 
 def test_a_search_asks_in_batches_for_as_many_designs_in_all():
-    found = Optimal(Estimator(draws=3), evaluations=9, initial=4, batch=3).choose(
+    found = Optimal(Laplace(draws=3, rivals=3), evaluations=9, initial=4, batch=3).choose(
         Situation(1, prior(("nhkv",)), LinearSimulator(), SPACE, PLAN, 0)
     )
     assert found.search is not None
@@ -123,7 +123,7 @@ def test_a_search_that_cannot_be_is_refused(options, message):
 
 
 def test_the_papers_search_is_the_published_one():
-    assert Optimal(Estimator("paper", draws=500), 25, 10, 1, False, POLICIES["paper"], PAPER_OPTIMAL.plan) == PAPER_OPTIMAL
+    assert Optimal(PublishedEstimator(500), 25, 10, 1, False, STRATEGIES["paper"], PAPER_OPTIMAL.plan) == PAPER_OPTIMAL
     assert PAPER_OPTIMAL.plan is PAPER_PLAN
     assert CampaignSettings.paper().policy is PAPER_OPTIMAL
 
@@ -192,3 +192,48 @@ def test_several_experiments_told_together_are_not_learnt_from_again(tmp_path):
     run = campaign(tmp_path)
     run.tell(shoot(tensor(300.0, 0.2), 1), shoot(tensor(600.0, 0.18), 2))
     assert [step.number for step in campaign(tmp_path).run(shoot, 2)] == [2]
+
+
+def test_that_several_designs_are_asked_for_at_once_each_beside_those_before_it(tmp_path):
+    run = campaign(tmp_path, policy=QUICK)
+    proposals = run.ask_several(3)
+    assert [p.step for p in proposals] == [1, 2, 3]
+    assert len({tuple(p.design.tolist()) for p in proposals}) == 3
+    assert proposals[0].search.pending is None
+    assert proposals[2].search.pending.value == pytest.approx(proposals[0].gain + proposals[1].gain, abs=0.3)
+    assert [p.design.tolist() for p in campaign(tmp_path, policy=QUICK).ask_several(2)] == [
+        p.design.tolist() for p in proposals[:2]
+    ]
+    alone = campaign(tmp_path / "alone", policy=QUICK).ask()
+    assert torch.equal(alone.design, proposals[0].design)
+    rebuilt = campaign(tmp_path, policy=QUICK).search(2)
+    assert torch.equal(rebuilt.optimizer.train_Yvar, proposals[1].search.optimizer.train_Yvar)
+    assert torch.equal(rebuilt.optimizer.train_Y, proposals[1].search.optimizer.train_Y)
+    with pytest.raises(InputDataError, match="q is 0; expected at least 1"):
+        run.ask_several(0)
+
+
+@pytest.mark.parametrize("policy", [QUICK, SpaceFilling()], ids=["optimal", "space-filling"])
+def test_that_a_campaign_of_several_designs_at_once_resumes_to_the_same_journal(tmp_path, policy):
+    kinds = {"policy": policy}
+    whole = campaign(tmp_path / "whole", **kinds)
+    steps = whole.run(shoot, 3, q=2)
+    assert [step.number for step in steps] == [2, 3]
+    lines = whole.journal.path.read_bytes().splitlines(keepends=True)
+    names = ["start", "ask", "ask", "experiment", "experiment", "belief", "ask", "experiment", "belief"]
+    assert [event["event"] for event in whole.journal.events] == names
+    for events in range(2, len(lines)):
+        shutil.copytree(tmp_path / "whole", tmp_path / f"cut{events}")
+        (tmp_path / f"cut{events}" / "journal.jsonl").write_bytes(b"".join(lines[:events]))
+        resumed = campaign(tmp_path / f"cut{events}", **kinds)
+        resumed.run(shoot, 3, q=2)
+        assert resumed.journal.path.read_bytes() == b"".join(lines)
+
+
+def test_that_a_design_that_adds_too_little_to_those_before_it_is_not_shot(tmp_path):
+    asked = campaign(tmp_path / "gains", policy=QUICK).ask_several(2)
+    between = 0.5 * (asked[0].gain + asked[1].gain)
+    assert asked[1].gain < between < asked[0].gain
+    run = campaign(tmp_path / "run", policy=QUICK, stop=GainBelow(between))
+    run.run(shoot, 2, q=2)
+    assert len(run.experiments) == 1

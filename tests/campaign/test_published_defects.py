@@ -8,7 +8,17 @@ import torch
 
 from imr_torch.assimilate import PublishedOptions, SearchOptions
 from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Harvest, PaperLearner
-from imr_torch.design import POLICIES, DesignOptimizer, DesignSpace, Estimator, Plan, Policy, expected_information_gain
+from imr_torch.design import (
+    STRATEGIES,
+    DesignOptimizer,
+    DesignSpace,
+    InformationEstimator,
+    Laplace,
+    Plan,
+    PublishedEstimator,
+    Strategy,
+    expected_information_gain,
+)
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, SimulatedLaboratory
@@ -41,15 +51,15 @@ def test_1_the_information_gain_saturates_at_the_log_of_the_draws():
     plan = Plan(TIMES, repeats=10**4, noise=NOISE, collapses=None)
     designs = torch.tensor([[300.0, 0.2]], dtype=torch.float64)
 
-    def gain(estimator: Estimator) -> float:
+    def gain(estimator: InformationEstimator) -> float:
         return expected_information_gain(prior(("nhkv",)), designs, SIMULATOR, plan, estimator=estimator, seed=0).value
 
-    assert gain(Estimator("paper", draws=100)) == pytest.approx(math.log(100), abs=0.01)
+    assert gain(PublishedEstimator(100)) == pytest.approx(math.log(100), abs=0.01)
     batch = ExperimentBatch((Experiment("", (300.0, 0.2), TIMES, torch.ones(1, 30, dtype=torch.float64)),), NOISE)
     one = replace(batch, noise=replace(NOISE, scale=1e-2))  # ten thousand repeats
     truth = -0.5 * float(torch.logdet(exact(prior(("nhkv",)).models[0], one).covariance))
     assert truth > math.log(100) + 5.0
-    assert gain(Estimator(draws=16)) == pytest.approx(truth, abs=1e-3)
+    assert gain(Laplace(draws=16)) == pytest.approx(truth, abs=1e-3)
 
 
 def test_2_the_likelihood_is_tempered_by_frames_and_repeats():
@@ -94,13 +104,13 @@ def test_5_the_best_observed_value_wins_by_luck():
     variance = torch.full_like(Y, 1e-4)
     variance[lucky] = 4.0
 
-    def chosen(policy: Policy) -> torch.Tensor:
-        optimizer = DesignOptimizer(space, seed=0, policy=policy)
+    def chosen(strategy: Strategy) -> torch.Tensor:
+        optimizer = DesignOptimizer(space, seed=0, strategy=strategy)
         optimizer.tell(X, Y, variance)
         return optimizer.recommend().design
 
-    assert torch.equal(chosen(POLICIES["paper"]), X[lucky])
-    assert abs(float(chosen(Policy())[0]) - 500.0) < 100.0
+    assert torch.equal(chosen(STRATEGIES["paper"]), X[lucky])
+    assert abs(float(chosen(Strategy())[0]) - 500.0) < 100.0
 
 
 def test_6_the_design_that_was_asked_for_is_not_the_one_that_was_achieved(tmp_path):

@@ -7,7 +7,7 @@ import torch
 
 from imr_torch.assimilate import SearchOptions
 from imr_torch.campaign import CampaignSettings, ExactLearner, Optimal, Random, Study, run_campaigns
-from imr_torch.design import DesignSpace, Estimator, Plan
+from imr_torch.design import DesignSpace, Laplace, Plan
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
@@ -16,7 +16,7 @@ from tests.linear import NOISE, LinearSimulator, prior
 
 PLAN = Plan(torch.linspace(0.1, 2.0, 9, dtype=torch.float64), repeats=4, noise=NOISE, collapses=None)
 TRUTH = PARAMETERS.pack({"G": 5600.0, "mu": 0.18})
-OPTIMAL = Optimal(Estimator(draws=3), evaluations=4, initial=3)
+OPTIMAL = Optimal(Laplace(draws=3, rivals=3), evaluations=4, initial=3)
 
 
 def study(folder, *, policy=OPTIMAL, truth=None) -> Study:

@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from imr_torch.design import (
-    POLICIES,
+    STRATEGIES,
     DesignOptimizer,
     DesignSpace,
-    Estimator,
     ExpectedInformationGain,
-    Policy,
+    Laplace,
+    Strategy,
     search_design,
 )
 from imr_torch.errors import InputDataError, ShapeError
@@ -26,9 +26,9 @@ def utility(X):
     return 5.0 - 8.0 * scaled.square().sum(-1, keepdim=True)
 
 
-def run(policy, evaluations, *, seed=0, sd=0.05, space=SPACE, cost=None):
+def run(strategy, evaluations, *, seed=0, sd=0.05, space=SPACE, cost=None):
     noise = torch.Generator().manual_seed(seed)
-    optimizer = DesignOptimizer(space, seed=seed, initial=5, policy=POLICIES[policy], cost=cost)
+    optimizer = DesignOptimizer(space, seed=seed, initial=5, strategy=STRATEGIES[strategy], cost=cost)
     while len(optimizer.train_X) < evaluations:
         X = optimizer.ask()
         Y = utility(X) + sd * torch.randn(len(X), 1, generator=noise, dtype=torch.float64)
@@ -42,17 +42,17 @@ def grid(*counts):
     return torch.cartesian_prod(*axes)
 
 
-def told(space, utility, *, points=None, sd=1e-3, policy=None, cost=None):
+def told(space, utility, *, points=None, sd=1e-3, strategy=None, cost=None):
     """An optimizer that was told the utility at a grid of designs."""
     points = grid(13, 5) if points is None else points
-    optimizer = DesignOptimizer(space, seed=0, initial=2, policy=policy, cost=cost)
+    optimizer = DesignOptimizer(space, seed=0, initial=2, strategy=strategy, cost=cost)
     optimizer.tell(points, utility(points), torch.full((len(points), 1), sd**2, dtype=torch.float64))
     return optimizer
 
 
-@pytest.mark.parametrize("policy", ["qLogNEI", "qEI"])
-def test_the_recommendation_finds_the_maximum_of_a_noisy_utility(policy):
-    best = run(policy, 12).recommend()
+@pytest.mark.parametrize("strategy", ["qLogNEI", "qEI"])
+def test_the_recommendation_finds_the_maximum_of_a_noisy_utility(strategy):
+    best = run(strategy, 12).recommend()
     assert float(utility(best.design[None])) > 4.9
     assert abs(best.mean - float(utility(best.design[None]))) < 5.0 * best.sd + 0.02
 
@@ -146,21 +146,21 @@ def test_pending_designs_are_not_asked_again():
     assert torch.equal(optimizer.ask(pending=asked), other)
 
 
-def test_the_papers_policy_recommends_the_best_observed_value_and_wants_an_improvement():
-    optimizer = told(SPACE, utility, policy=POLICIES["paper"])
+def test_the_published_strategy_recommends_the_best_observed_value_and_wants_an_improvement():
+    optimizer = told(SPACE, utility, strategy=STRATEGIES["paper"])
     lucky = torch.tensor([[150.0, 0.29]], dtype=torch.float64)
     optimizer.tell(lucky, torch.full((1, 1), 9.0, dtype=torch.float64), torch.full((1, 1), 4.0, dtype=torch.float64))
     best = optimizer.recommend()
     assert torch.equal(best.design, lucky[0])
     assert (best.mean, best.sd) == (9.0, 2.0)
-    assert POLICIES["paper"] == Policy("qEI", 0.01, "best observed")
+    assert STRATEGIES["paper"] == Strategy("qEI", 0.01, "best observed")
 
 
 def test_an_improvement_that_cannot_be_had_is_worth_nothing():
     X = PEAK[None, None] + torch.tensor([0.0, 0.01])
     values = []
     for improvement in (0.0, 0.5):
-        optimizer = told(SPACE, utility, policy=Policy("qEI", improvement), sd=0.1)
+        optimizer = told(SPACE, utility, strategy=Strategy("qEI", improvement), sd=0.1)
         values.append(float(optimizer._acquisition(torch.empty(0, 2, dtype=torch.float64))(X).detach()))
     assert values[0] > 10.0 * values[1]
 
@@ -220,10 +220,10 @@ def test_scatter_of_what_is_achieved_moves_the_recommendation_to_the_broad_hill(
     assert scattered.mean == pytest.approx(float(two_hills(achieved[:, None]).mean()), abs=0.06)
 
 
-@pytest.mark.parametrize("policy", ["qLogNEI", "qEI"])
-def test_the_search_goes_where_the_achieved_designs_are_good(policy):
+@pytest.mark.parametrize("strategy", ["qLogNEI", "qEI"])
+def test_the_search_goes_where_the_achieved_designs_are_good(strategy):
     points = grid(13, 2)
-    optimizer = told(DesignSpace(scatter=(0.3, 0.0)), two_hills, points=points, sd=0.05, policy=POLICIES[policy])
+    optimizer = told(DesignSpace(scatter=(0.3, 0.0)), two_hills, points=points, sd=0.05, strategy=STRATEGIES[strategy])
     assert 450.0 < float(optimizer.ask()[0, 0]) < 950.0
 
 
@@ -246,9 +246,7 @@ def test_a_cost_that_is_none_is_refused(cost):
 
 
 def test_failed_evaluations_are_recorded_not_told_and_not_asked_again():
-    acquisition = ExpectedInformationGain(
-        ONE, PartlyFailing(), plan=plan(), space=SPACE, estimator=Estimator("laplace", draws=4)
-    )
+    acquisition = ExpectedInformationGain(ONE, PartlyFailing(), Laplace(draws=4), plan=plan(), space=SPACE)
     search = search_design(acquisition, seed=1, evaluations=9, initial=5)
     failed = torch.tensor([gain.failed for gain in search.gains])
     assert 0 < int(failed.sum()) < 7
@@ -271,9 +269,9 @@ class PartlyFailing(LinearCamera):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Policy("thompson"), "expected 'qLogNEI' or 'qEI'"),
-        (lambda: Policy(incumbent="last"), "Policy.incumbent is 'last'; expected 'posterior mean' or 'best observed'"),
-        (lambda: Policy(improvement=0.1), "Policy.improvement is 0.1; expected a finite number >= 0, and 0 for 'qLogNEI'"),
+        (lambda: Strategy("thompson"), "expected 'qLogNEI' or 'qEI'"),
+        (lambda: Strategy(incumbent="last"), "Strategy.incumbent is 'last'; expected 'posterior mean' or 'best observed'"),
+        (lambda: Strategy(improvement=0.1), "Strategy.improvement is 0.1; expected a finite number >= 0, and 0 for 'qLogNEI'"),
         (lambda: DesignSpace(weber_settings=(50.0,)), r"weber_settings is \(50.0,\); expected different values within \[100"),
         (lambda: DesignSpace(rest_radius_settings=(0.2, 0.2)), "rest_radius_settings is .*expected different values"),
         (lambda: DesignSpace(designs=LISTED, **AXES), "a list of designs or settings of each axis, not both"),
@@ -282,7 +280,7 @@ class PartlyFailing(LinearCamera):
         (lambda: DesignSpace(scatter=(0.1, -0.1)), r"expected two relative standard deviations in \[0, 1\)"),
     ],
 )
-def test_impossible_policies_and_laboratories_are_refused(make, message):
+def test_impossible_strategies_and_laboratories_are_refused(make, message):
     with pytest.raises(InputDataError, match=message):
         make()
 

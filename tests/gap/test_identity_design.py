@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.design import DesignSpace, Estimator, Plan
+from imr_torch.design import DesignSpace, ExpectedInformationGain, Laplace, Plan
 from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis
-from imr_torch.gap.identity_design import IdentityInformation, NextDesign, identity_design, remaining_causes
+from imr_torch.gap.identity_design import NextDesign, identity_design, remaining_causes
 from imr_torch.gap.shrinkage import held_out
 from imr_torch.material import LIBRARY, Belief
 from imr_torch.observe import Experiment, ExperimentBatch, predict
@@ -63,9 +63,8 @@ def test_that_a_cause_of_the_measurement_is_told_apart_too(fits) -> None:
     belief = Belief(
         (null.posterior, late.posterior.with_gaussian(mean, late.posterior.chol)), torch.zeros(2, dtype=torch.float64)
     )
-    gain = IdentityInformation(belief, SIMULATOR, plan=PLAN, estimator=Estimator(draws=8), seed=0).estimate(
-        torch.tensor([DESIGNS[0]]).double()
-    )
+    acquisition = ExpectedInformationGain(belief, SIMULATOR, Laplace(draws=8), target="model", plan=PLAN)
+    gain = acquisition.estimate(torch.tensor([DESIGNS[0]]).double())
     assert gain.value > 0.6
     assert gain.parameters == 0.0
 

@@ -1,0 +1,225 @@
+"""The search for the designs of largest expected information gain, by Bayesian optimisation of its estimates.
+
+One design after the other is added to those found before, which are pending in the acquisition (sequential greedy: within
+a factor ``1 - 1/e`` of the best joint gain where the gain is submodular, Nemhauser, Wolsey & Fisher, Math. Program. 14, 1978).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from imr_torch.design.acquisition import ExpectedInformationGain
+from imr_torch.design.gain import InformationGain, separate_errors
+from imr_torch.design.optimizer import Cost, DesignOptimizer, Recommendation, Strategy
+from imr_torch.design.space import DesignSpace
+from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.random import child
+from imr_torch.types import Progress
+
+_SMALLEST_VARIANCE = 1e-8  # nats^2: draws may agree exactly, and a known noise of 0 is no noise model
+
+
+@dataclass(frozen=True)
+class DesignSearch:
+    """A finished search for the most informative design, or for one more beside those found before.
+
+    Args:
+        recommendation: the design to shoot; its mean is what it adds to the gain of the pending designs.
+        designs: ``n x 2`` tensor of all evaluated designs.
+        gains: their information gains, in the same order, each joint with the pending designs.
+        optimizer: the optimizer, whose surrogate can be drawn.
+        pending: joint gain of the designs that were pending; None if there were none.
+        earlier: the searches for the designs before, of a search for several.
+    """
+
+    recommendation: Recommendation
+    designs: Tensor
+    gains: tuple[InformationGain, ...]
+    optimizer: DesignOptimizer
+    pending: InformationGain | None = None
+    earlier: tuple["DesignSearch", ...] = ()
+
+    @property
+    def chosen(self) -> Tensor:
+        """``q x 2`` tensor: all designs to shoot, in the order found."""
+        return torch.stack([step.recommendation.design for step in (*self.earlier, self)])
+
+    @property
+    def increments(self) -> tuple[float, ...]:
+        """What each of the ``q`` designs adds to the gain of those before it, nats."""
+        return tuple(step.recommendation.mean for step in (*self.earlier, self))
+
+    @property
+    def joint(self) -> float:
+        """What the designs are expected to tell together, nats, beyond what was pending before the first."""
+        return sum(self.increments)
+
+
+def search_design(
+    acquisition: ExpectedInformationGain,
+    *,
+    seed: int,
+    q: int = 1,
+    evaluations: int = 25,
+    initial: int = 10,
+    batch: int = 1,
+    strategy: Strategy | None = None,
+    cost: Cost | None = None,
+    common: bool = True,
+    progress: Progress | None = None,
+) -> DesignSearch:
+    """Find the designs of largest expected information gain by Bayesian optimisation.
+
+    The acquisition is left as it is; its pending designs count as shot.
+
+    Args:
+        acquisition: the information gain; its space is searched.
+        seed: of the search, and of the draws in the place of the acquisition's own.
+        q: designs that will be shot with the present belief, found one after the other, each with those before it pending.
+        evaluations: designs evaluated for each.
+        initial: of which space-filling.
+        batch: designs asked for together after those; the surrogate is then asked less often.
+        strategy: how designs are chosen.
+        cost: of an experiment; 1 when not given.
+        common: whether all evaluations share their draws and noise, which cancels from differences between designs. The
+            surrogate is then told the error of differences alone, and the recommendation's ``sd`` has the common error added.
+        progress: called with one line per evaluation.
+
+    Returns:
+        The search for the last design, with those for the others in ``earlier``. Evaluations too many of whose bubbles failed
+        are in it and were not told to the surrogate.
+
+    Raises:
+        InputDataError: for fewer evaluations than initial designs, an empty batch, or no design.
+        ConvergenceError: if too many bubbles of the pending designs failed.
+
+    >>> from imr_torch.design import Laplace
+    >>> from imr_torch.material import reference_case
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> gain = ExpectedInformationGain(reference_case("soft-pa").prior, PolytropicSimulator(), Laplace(draws=2, rivals=2))
+    >>> search = search_design(gain, seed=0, q=2, evaluations=3, initial=2)
+    >>> search.chosen.shape, len(search.increments)
+    (torch.Size([2, 2]), 2)
+    """
+    if evaluations < initial:
+        raise InputDataError(f"evaluations is {evaluations}, fewer than the {initial} initial designs; raise it.")
+    for name, value in (("batch", batch), ("q", q)):
+        if value < 1:
+            raise InputDataError(f"{name} is {value}; expected at least 1.")
+    steps: list[DesignSearch] = []
+    for number in range(q):
+        pending = _together(acquisition.X_pending, steps)
+        run = _Search(
+            acquisition.with_pending(pending),
+            SearchSettings(seed if number == 0 else child(seed, "further design", number), initial, strategy, cost, common),
+            draws=seed,
+            progress=progress,
+        )
+        steps.append(run.complete(evaluations, batch))
+    return replace(steps[-1], earlier=tuple(steps[:-1]))
+
+
+def _together(pending: Tensor | None, steps: Sequence[DesignSearch]) -> Tensor | None:
+    """Designs that are pending for the next step of a search."""
+    found = [] if pending is None else [pending]
+    found += [step.recommendation.design[None] for step in steps]
+    return torch.cat(found) if found else None
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How the surrogate of a search is made.
+
+    Args:
+        seed: of the optimizer.
+        initial: space-filling designs.
+        strategy: how designs are chosen.
+        cost: of an experiment.
+        common: whether all evaluations share their draws.
+    """
+
+    seed: int
+    initial: int
+    strategy: Strategy | None = None
+    cost: Cost | None = None
+    common: bool = True
+
+    def optimizer(
+        self, space: DesignSpace, designs: Tensor, gains: Sequence[InformationGain], pending: InformationGain | None
+    ) -> tuple[DesignOptimizer, float]:
+        """An optimizer that was told what designs (``n x 2``) add to the pending ones, and the variance common to all.
+
+        Evaluations too many of whose bubbles failed are left out.
+        """
+        optimizer = DesignOptimizer(space, seed=self.seed, initial=self.initial, strategy=self.strategy, cost=self.cost)
+        counted = [i for i, gain in enumerate(gains) if math.isfinite(gain.value)]
+        if not counted:
+            return optimizer, 0.0
+        kept = [gains[i] for i in counted]
+        errors = separate_errors(kept) if self.common else None
+        own = errors.own if errors else torch.tensor([gain.variance for gain in kept], dtype=torch.float64)
+        base = pending.value if pending else 0.0
+        values = torch.tensor([gain.value - base for gain in kept], dtype=torch.float64)
+        optimizer.tell(designs[counted], values[:, None], own.clamp_min(_SMALLEST_VARIANCE)[:, None])
+        return optimizer, errors.common if errors else 0.0
+
+    def finish(
+        self, space: DesignSpace, designs: Tensor, gains: Sequence[InformationGain], pending: InformationGain | None
+    ) -> DesignSearch:
+        """The recommendation from all evaluations; its error has the part that is common to all of them."""
+        optimizer, common = self.optimizer(space, designs, gains, pending)
+        best = optimizer.recommend()
+        if self.cost is not None:
+            common /= float(self.cost(best.design[None])) ** 2
+        best = replace(best, sd=math.sqrt(best.sd**2 + common))
+        return DesignSearch(best, designs, tuple(gains), optimizer, pending)
+
+
+class _Search:
+    """One design's search in progress.
+
+    Args:
+        acquisition: the gain, with all that is pending.
+        settings: of the surrogate.
+        draws: seed of the draws.
+        progress: called with one line per evaluation.
+    """
+
+    def __init__(
+        self, acquisition: ExpectedInformationGain, settings: SearchSettings, *, draws: int, progress: Progress | None
+    ) -> None:
+        self.acquisition, self.settings, self.draws, self.progress = acquisition, settings, draws, progress
+        self.designs, self.gains = torch.empty(0, 2, dtype=torch.float64), list[InformationGain]()
+        self.pending = acquisition.estimate_pending(seed=child(draws, "eig", 0))
+        if self.pending is not None and self.pending.failed:
+            raise ConvergenceError(
+                f"{self.pending.counted} of {self.pending.drawn} draws could be simulated at the pending designs "
+                f"{[] if acquisition.X_pending is None else acquisition.X_pending.tolist()}; choose others."
+            )
+
+    def complete(self, evaluations: int, batch: int) -> DesignSearch:
+        """Evaluate designs until there are enough, ``batch`` at a time after the first."""
+        space = self.acquisition.space
+        while len(self.gains) < evaluations:
+            optimizer, _ = self.settings.optimizer(space, self.designs, self.gains, self.pending)
+            failed = self.designs[[gain.failed for gain in self.gains]] if self.gains else self.designs
+            most = batch if space.choices is None else min(batch, len(space.choices) - len(failed))
+            asked = optimizer.ask(min(most, evaluations - len(self.gains)) if self.gains else optimizer.initial, pending=failed)
+            for design in asked:
+                self._evaluate(design, evaluations)
+        return self.settings.finish(space, self.designs, self.gains, self.pending)
+
+    def _evaluate(self, design: Tensor, evaluations: int) -> None:
+        """The gain of one design, from draws common to a whole search or of this evaluation's own."""
+        number = 0 if self.settings.common else len(self.gains)
+        gain = self.acquisition.estimate(design[None], seed=child(self.draws, "eig", number))
+        self.designs = torch.cat((self.designs, design[None]))
+        self.gains.append(gain)
+        if self.progress:
+            self.progress(
+                f"design {len(self.gains)}/{evaluations}: We {float(design[0]):6.1f}  R_inf* {float(design[1]):.3f}  "
+                f"EIG {gain.value:.3f} +- {gain.variance**0.5:.3f} nats"
+            )

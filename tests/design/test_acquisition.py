@@ -1,0 +1,196 @@
+"""The information gain as BoTorch's users know acquisitions: batches, joint gains, pending designs, optimisers, targets."""
+
+import math
+from dataclasses import dataclass
+
+import pytest
+import torch
+from botorch.optim import optimize_acqf, optimize_acqf_mixed
+from botorch.utils.sampling import manual_seed
+
+from imr_torch.design import (
+    AdaptiveContrastive,
+    ExpectedInformationGain,
+    ImportanceSampling,
+    InformationEstimator,
+    InformationGain,
+    Laplace,
+    NestedMonteCarlo,
+    PriorContrastive,
+    PublishedEstimator,
+    SearchSettings,
+    search_design,
+)
+from imr_torch.errors import InputDataError, ShapeError, UnsupportedError
+from imr_torch.material import Belief
+from tests.design.linear_camera import DESIGNS, ONE, TWO, LinearCamera, exact, plan
+
+THIRD = torch.tensor([[150.0, 0.16]], dtype=torch.float64)
+NO_GRAD = {"with_grad": False, "maxiter": 5}
+ENTROPY = -(0.7 * math.log(0.7) + 0.3 * math.log(0.3))
+EVERY = [
+    Laplace(draws=6, rivals=6),
+    Laplace(draws=6, rivals=6, refinements=0),
+    ImportanceSampling(draws=6, inner=4),
+    AdaptiveContrastive(draws=6, inner=4),
+    NestedMonteCarlo(draws=6, inner=4),
+    PriorContrastive(draws=6, inner=4),
+    PublishedEstimator(10),
+]
+
+
+def acquisition(belief=ONE, estimator=None, **options):
+    return ExpectedInformationGain(belief, LinearCamera(), estimator or Laplace(draws=4), plan=plan(), **options)
+
+
+@pytest.mark.parametrize("shape", [(1,), (3,), (2, 3), (0,)])
+@pytest.mark.parametrize("q", [1, 2])
+def test_that_every_batch_shape_is_kept(shape, q):
+    gain = acquisition()
+    X = DESIGNS[:q].expand(*shape, q, 2)
+    assert gain(X).shape == shape
+    assert torch.allclose(gain(X), torch.tensor(gain.estimate(DESIGNS[:q]).value, dtype=torch.float64))
+
+
+def test_that_one_set_of_designs_without_a_batch_is_a_batch_of_one():
+    gain = acquisition()
+    assert torch.equal(gain(DESIGNS), gain(DESIGNS[None]))
+
+
+def test_that_several_designs_are_worth_their_joint_gain():
+    value = acquisition(estimator=Laplace(draws=6))(DESIGNS[None])
+    assert float(value) == pytest.approx(exact(ONE, DESIGNS, plan()), rel=1e-7)
+
+
+def test_that_pending_designs_count_in_the_joint_gain_and_none_restores_the_gain_alone():
+    gain = acquisition()
+    alone = gain(THIRD[None])
+    gain.set_X_pending(DESIGNS)
+    assert float(gain(THIRD[None])) == pytest.approx(exact(ONE, torch.cat((THIRD, DESIGNS)), plan()), rel=1e-7)
+    assert float(gain(THIRD[None])) > float(alone) + 0.5
+    assert gain.estimate_pending().value == pytest.approx(exact(ONE, DESIGNS, plan()), rel=1e-7)
+    gain.set_X_pending(None)
+    assert torch.equal(gain(THIRD[None]), alone)
+    assert gain.estimate_pending() is None
+
+
+def test_that_pending_designs_given_at_first_are_those_set_later():
+    late = acquisition()
+    late.set_X_pending(DESIGNS)
+    assert torch.equal(acquisition(X_pending=DESIGNS)(THIRD[None]), late(THIRD[None]))
+
+
+def test_that_a_copy_with_pending_designs_leaves_the_original_alone():
+    gain = acquisition()
+    other = gain.with_pending(DESIGNS)
+    assert gain.X_pending is None
+    assert torch.equal(other.X_pending, DESIGNS)
+
+
+def test_that_pending_designs_of_another_shape_are_refused():
+    with pytest.raises(ShapeError, match=r"X_pending has shape \(1, 2, 2\); expected m x 2"):
+        acquisition(X_pending=DESIGNS[None])
+
+
+def test_that_asking_for_gradients_says_what_to_use_instead():
+    gain = acquisition()
+    with pytest.raises(UnsupportedError, match=r'options=\{"with_grad": False\}, or use search_design'):
+        optimize_acqf(gain, gain.space.bounds, q=1, num_restarts=1, raw_samples=2)
+    with torch.no_grad():
+        assert torch.isfinite(gain(DESIGNS[None].clone().requires_grad_(True))).all()
+
+
+def test_that_optimize_acqf_finds_at_least_the_better_of_two_designs():
+    gain = acquisition()
+    with manual_seed(0):
+        best, value = optimize_acqf(gain, gain.space.bounds, q=1, num_restarts=1, raw_samples=16, options=NO_GRAD)
+    assert best.shape == (1, 2)
+    assert float(value) >= float(gain(DESIGNS[:, None]).max()) - 0.05
+
+
+def test_that_sequential_greedy_takes_each_design_with_those_before_it_pending():
+    gain = acquisition(X_pending=THIRD)
+    with manual_seed(0):
+        best, values = optimize_acqf(
+            gain, gain.space.bounds, q=2, num_restarts=1, raw_samples=8, options=NO_GRAD, sequential=True
+        )
+    assert best.shape == (2, 2)
+    assert torch.equal(gain.X_pending, THIRD)
+    joint = exact(ONE, torch.cat((best, THIRD)), plan())
+    assert float(values[-1]) == pytest.approx(joint, rel=1e-7)
+    assert joint > exact(ONE, torch.cat((best[:1], THIRD)), plan())
+
+
+def test_that_optimize_acqf_mixed_keeps_to_the_settings():
+    gain = acquisition()
+    fixed = [{0: 200.0}, {0: 800.0}]
+    with manual_seed(0):
+        best, _ = optimize_acqf_mixed(
+            gain, gain.space.bounds, q=2, num_restarts=1, raw_samples=4, fixed_features_list=fixed, options=NO_GRAD
+        )
+    assert {float(x) for x in best[:, 0]} <= {200.0, 800.0}
+
+
+@pytest.mark.parametrize("estimator", EVERY, ids=lambda e: f"{type(e).__name__}{getattr(e, 'refinements', '')}")
+def test_that_the_gain_about_the_model_is_never_above_the_entropy_of_the_models(estimator):
+    """By value, by batch, by pending designs and in every evaluation of a search with common draws."""
+    gain = acquisition(TWO, estimator, target="model")
+    values = [gain(DESIGNS[:, None]), gain(DESIGNS[None]), gain.with_pending(THIRD)(DESIGNS[:, None])]
+    search = search_design(gain, seed=1, evaluations=4, initial=3)
+    values.append(torch.tensor([g.value for g in search.gains]))
+    assert float(torch.cat([v.flatten().double() for v in values]).max()) <= ENTROPY + 1e-9
+    assert all(g.parameters == 0.0 and g.variance == g.model_variance for g in search.gains)
+
+
+@pytest.mark.parametrize("estimator", EVERY, ids=lambda e: f"{type(e).__name__}{getattr(e, 'refinements', '')}")
+def test_that_the_targets_are_the_parts_of_the_whole(estimator):
+    parts = {
+        target: acquisition(TWO, estimator, target=target).estimate(DESIGNS[:1]) for target in ("parameters", "model", "both")
+    }
+    assert parts["parameters"].value + parts["model"].value == pytest.approx(parts["both"].value, rel=1e-12)
+    assert parts["parameters"].variance == pytest.approx(parts["both"].parameters_variance)
+    for gain in parts.values():
+        influence = torch.tensor(gain.influence, dtype=torch.float64).sum(1)
+        assert float(influence.square().sum()) == pytest.approx(gain.variance, rel=1e-9)
+
+
+def test_that_an_unknown_target_is_refused():
+    with pytest.raises(InputDataError, match="target is 'models'; expected one of parameters, model, both"):
+        acquisition(target="models")
+
+
+@dataclass(frozen=True)
+class LogWeber(InformationEstimator):
+    """An estimator from outside the package: a gain that is known."""
+
+    scale: float = 1.0
+
+    def __call__(self, shot, generator):
+        value = self.scale * float(-((shot.designs[:, 0].log() - math.log(500.0)) ** 2).sum()) + 3.0
+        return InformationGain(value, 0.0, variance=1e-6, counted=2, drawn=2)
+
+
+def test_that_an_estimator_from_outside_the_package_works_wherever_others_do():
+    gain = ExpectedInformationGain(ONE, LinearCamera(), LogWeber(2.0))
+    assert float(gain(torch.tensor([[[500.0, 0.2]]], dtype=torch.float64))) == pytest.approx(3.0)
+    best = search_design(gain, seed=0, evaluations=12, initial=6).recommendation
+    assert float(best.design[0]) == pytest.approx(500.0, rel=0.15)
+    assert best.mean == pytest.approx(3.0, abs=0.05)
+
+
+def test_that_failed_bubbles_make_a_value_of_nan_and_not_an_error():
+    gain = ExpectedInformationGain(ONE, LinearCamera(limit=-100.0), Laplace(draws=4), plan=plan())
+    assert bool(torch.isnan(gain(DESIGNS[None])).all())
+
+
+def test_that_a_belief_of_one_model_tells_nothing_about_the_model():
+    sure = Belief(TWO.models[:1], torch.zeros(1, dtype=torch.float64))
+    assert float(acquisition(sure, target="model")(DESIGNS[None])) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_that_settings_of_a_search_rebuild_its_surrogate():
+    gain = acquisition(TWO)
+    search = search_design(gain, seed=3, evaluations=5, initial=3)
+    again = SearchSettings(3, 3).finish(gain.space, search.designs, search.gains, None)
+    assert torch.equal(again.recommendation.design, search.recommendation.design)
+    assert again.recommendation.sd == search.recommendation.sd

@@ -1,0 +1,161 @@
+"""The search for one or several designs: greedy over pending ones, common draws, and the errors it states."""
+
+import pytest
+import torch
+
+from imr_torch.design import (
+    DesignSpace,
+    ExpectedInformationGain,
+    InformationGain,
+    Laplace,
+    NestedMonteCarlo,
+    PublishedEstimator,
+    search_design,
+    separate_errors,
+)
+from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.material import reference_case
+from imr_torch.observe import Noise
+from imr_torch.simulate import PolytropicSimulator
+from tests.design.linear_camera import DESIGNS, ONE, TWO, LinearCamera, exact, plan
+from tests.design.test_optimizer import PartlyFailing
+
+QUICK = {"evaluations": 5, "initial": 4}
+NOISY = plan(noise=Noise(slope=0.0, drift=0.0, floor=0.2))
+
+
+def acquisition(belief=ONE, estimator=None, **options):
+    return ExpectedInformationGain(belief, LinearCamera(), estimator or Laplace(draws=4), plan=plan(), **options)
+
+
+@pytest.mark.parametrize("common", [True, False])
+def test_that_a_search_leaves_the_acquisition_as_it_was(common):
+    gain = acquisition(TWO, seed=7, X_pending=DESIGNS[:1])
+    before = gain(DESIGNS[:, None])
+    search_design(gain, seed=1, q=2, common=common, **QUICK)
+    assert gain.seed == 7
+    assert torch.equal(gain.X_pending, DESIGNS[:1])
+    assert torch.equal(gain(DESIGNS[:, None]), before)
+
+
+def test_that_a_search_depends_on_its_own_seed_and_not_on_that_of_the_acquisition():
+    first, second = (search_design(acquisition(TWO, seed=s), seed=1, **QUICK) for s in (0, 5))
+    assert torch.equal(first.designs, second.designs)
+    assert first.gains == second.gains
+
+
+def test_that_several_designs_are_found_one_beside_the_other():
+    search = search_design(acquisition(), seed=0, q=3, evaluations=10, initial=6)
+    assert search.chosen.shape == (3, 2)
+    assert len(search.increments) == 3
+    joint = exact(ONE, search.chosen, plan())
+    assert search.joint == pytest.approx(joint, abs=0.2)
+    assert search.increments[0] > search.increments[1] > search.increments[2] > 0.0
+    space, source = DesignSpace().bounds, torch.Generator().manual_seed(0)
+    others = space[0] + (space[1] - space[0]) * torch.rand(40, 3, 2, generator=source, dtype=torch.float64)
+    assert joint > max(exact(ONE, three, plan()) for three in others) - 0.1
+
+
+def test_that_the_first_of_several_is_the_one_of_a_search_for_one():
+    alone, several = (search_design(acquisition(TWO), seed=4, q=q, **QUICK) for q in (1, 2))
+    assert torch.equal(several.chosen[0], alone.recommendation.design)
+    assert several.earlier[0].gains == alone.gains
+
+
+def test_that_pending_designs_are_subtracted_from_what_a_search_reports():
+    search = search_design(acquisition(X_pending=DESIGNS), seed=0, evaluations=10, initial=6)
+    both = torch.cat((search.chosen, DESIGNS))
+    added = exact(ONE, both, plan()) - exact(ONE, DESIGNS, plan())
+    assert search.recommendation.mean == pytest.approx(added, abs=0.15)
+    assert search.pending.value == pytest.approx(exact(ONE, DESIGNS, plan()), rel=1e-7)
+
+
+def test_that_several_designs_of_a_list_are_of_the_list():
+    space = DesignSpace(designs=((200.0, 0.15), (400.0, 0.2), (650.0, 0.28)))
+    search = search_design(acquisition(space=space), seed=0, q=2, evaluations=3, initial=2)
+    assert {tuple(row) for row in search.chosen.tolist()} <= set(space.designs)
+
+
+def test_that_pending_designs_that_cannot_be_simulated_end_the_search_with_a_reason():
+    gain = ExpectedInformationGain(ONE, PartlyFailing(), Laplace(draws=4), plan=plan(), X_pending=DESIGNS[1:])
+    with pytest.raises(ConvergenceError, match="0 of 4 draws could be simulated at the pending designs"):
+        search_design(gain, seed=0, **QUICK)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"q": 0}, "q is 0; expected at least 1"),
+        ({"batch": 0}, "batch is 0; expected at least 1"),
+        ({"evaluations": 3, "initial": 4}, "evaluations is 3, fewer than the 4 initial designs"),
+    ],
+)
+def test_that_an_impossible_search_is_refused(options, message):
+    with pytest.raises(InputDataError, match=message):
+        search_design(acquisition(), seed=0, **options)
+
+
+def estimates(estimator, designs, seeds, *, simulator=None, belief=TWO, how=NOISY):
+    gain = ExpectedInformationGain(belief, simulator or LinearCamera(), estimator, plan=how)
+    return [gain.estimate_each(designs, seed=s) for s in range(seeds)]
+
+
+@pytest.mark.parametrize(
+    "estimator",
+    [Laplace(draws=16, rivals=8), NestedMonteCarlo(draws=200, inner=60), PublishedEstimator(100)],
+    ids=lambda e: type(e).__name__,
+)
+def test_that_the_variance_of_a_difference_from_common_draws_is_the_scatter_over_seeds(estimator):
+    near = torch.tensor([[300.0, 0.2], [330.0, 0.2]], dtype=torch.float64)
+    found = estimates(estimator, near, 60)
+    differences = torch.tensor([a.value - b.value for a, b in found], dtype=torch.float64)
+    stated = torch.stack([separate_errors(pair).own.sum() for pair in found])
+    assert 0.75 < float(differences.std() / stated.mean().sqrt()) < 1.35
+    independent = torch.tensor([a.variance + b.variance for a, b in found], dtype=torch.float64)
+    assert float(stated.mean()) < 0.3 * float(independent.mean())
+
+
+def test_that_the_error_of_the_mean_over_designs_is_the_common_part():
+    designs = torch.tensor([[300.0, 0.2], [330.0, 0.2], [360.0, 0.2]], dtype=torch.float64)
+    found = estimates(Laplace(draws=16, rivals=16), designs, 60)
+    means = torch.tensor([[g.value for g in row] for row in found], dtype=torch.float64).mean(1)
+    stated = torch.tensor([separate_errors(row).common for row in found], dtype=torch.float64)
+    assert 0.75 < float(means.std() / stated.mean().sqrt()) < 1.35
+
+
+def test_that_gains_whose_draws_cannot_be_matched_keep_their_whole_variance():
+    gains = [InformationGain(1.0, 0.0, 0.04, 4, 4), InformationGain(2.0, 0.0, 0.09, 4, 4, influence=((0.3, 0.0),))]
+    errors = separate_errors(gains)
+    assert errors.own.tolist() == [0.04, 0.09]
+    assert errors.common == 0.0
+
+
+def test_that_the_surrogate_states_the_error_of_a_difference_that_common_draws_leave():
+    """Of bubbles, at designs a search evaluates: the stated noise against the scatter of differences over seeds."""
+    belief, how = (
+        reference_case("soft-pa").prior,
+        plan(times=torch.linspace(0.0, 2.4, 31, dtype=torch.float64), noise=Noise(), repeats=1),
+    )
+    designs = torch.tensor([[300.0, 0.2], [350.0, 0.21], [400.0, 0.2]], dtype=torch.float64)
+    found = estimates(Laplace(draws=16, rivals=8), designs, 24, simulator=PolytropicSimulator(), belief=belief, how=how)
+    values = torch.tensor([[g.value for g in row] for row in found], dtype=torch.float64)
+    true = torch.stack([(values[:, i] - values[:, j]).std() for i, j in ((0, 1), (0, 2), (1, 2))])
+    stated = torch.stack([separate_errors(row).own for row in found]).mean(0)
+    said = torch.stack([(stated[i] + stated[j]).sqrt() for i, j in ((0, 1), (0, 2), (1, 2))])
+    assert 0.6 < float((said / true).log().mean().exp()) < 1.5
+
+
+def test_that_a_recommendation_has_the_common_error_and_its_surrogate_has_not():
+    gain = ExpectedInformationGain(TWO, LinearCamera(), Laplace(draws=16, rivals=8), plan=NOISY)
+    search = search_design(gain, seed=0, evaluations=6, initial=5)
+    errors = separate_errors(search.gains)
+    assert torch.allclose(search.optimizer.train_Yvar[:, 0], errors.own.clamp_min(1e-8))
+    assert search.recommendation.sd >= errors.common**0.5
+    assert float(errors.own.mean()) < 0.5 * errors.common
+
+
+def test_that_with_draws_of_their_own_evaluations_keep_their_variance():
+    gain = ExpectedInformationGain(TWO, LinearCamera(), Laplace(draws=16, rivals=8), plan=NOISY)
+    search = search_design(gain, seed=0, evaluations=4, initial=3, common=False)
+    stated = torch.tensor([g.variance for g in search.gains], dtype=torch.float64)
+    assert torch.allclose(search.optimizer.train_Yvar[:, 0], stated)
