@@ -5,8 +5,8 @@
 #
 # - **The default** (`SearchOptions`) looks for the most probable gel: Gauss-Newton steps from several starts, with slopes by
 #   finite differences. Each fit carries a certificate: the gradient at its end, and whether two starts ended in one place.
-# - **Hybrid ensemble 4D-Var** (`En4DVarOptions`) is the method of Spratt et al. (2021) and arXiv 2409.00011: an ensemble of gels
-#   as wide as the posterior gives the slopes by regression, and moves as a whole; restarts widen it again.
+# - **Hybrid ensemble 4D-Var** (`En4DVarOptions`) is the method of Spratt et al. (2021) and arXiv 2409.00011. An ensemble of
+#   gels as wide as the posterior gives the slopes by regression, and moves as a whole; restarts widen it again.
 #
 # Both use the likelihood of all repeats and frames, the prior once, the same nuisances and models. `weigh` draws from the
 # Gaussian that either found and weighs the draws by the exact posterior, so what is reported is the same if both found the
