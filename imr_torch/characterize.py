@@ -56,6 +56,26 @@ class Characterization:
         posterior: parameters and model probabilities after the data.
         seconds: processor time.
         scores: held-out log density of each model, summed over all curves; empty if none was held out.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
+    >>> from imr_torch.assimilate import SearchOptions
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import RadiusTrace, TraceSet
+    >>> from imr_torch.units import Surroundings
+    >>> simulator, size, times = PolytropicSimulator(), 221e-6, torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
+    >>> bubble = simulator(PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), torch.tensor([200.0, 0.2]).double(), times)
+    >>> trace = RadiusTrace("shot 1", times * Surroundings().time_scale(size), size * bubble.radius, "example")
+    >>> result = characterize(
+    ...     TraceSet((trace,)),
+    ...     prior=wide_prior(["nhkv"]),
+    ...     simulator=simulator,
+    ...     estimate_noise=False,
+    ...     rest_radius=(0.2, 0.002),
+    ...     options=SearchOptions(scouts=16, starts=2),
+    ... )
+    >>> result.posterior.keys, result.assimilation.converged, len(result.evidence)
+    (('nhkv',), True, 1)
     """
 
     experiments: tuple[Experiment, ...]
@@ -198,6 +218,26 @@ def characterize(
 
     Raises:
         InputDataError: as in :func:`prepare`, if there is no trace, or one alone is to be foretold by others.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
+    >>> from imr_torch.assimilate import SearchOptions
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import RadiusTrace, TraceSet
+    >>> from imr_torch.units import Surroundings
+    >>> simulator, size, times = PolytropicSimulator(), 221e-6, torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
+    >>> bubble = simulator(PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), torch.tensor([200.0, 0.2]).double(), times)
+    >>> trace = RadiusTrace("shot 1", times * Surroundings().time_scale(size), size * bubble.radius, "example")
+    >>> result = characterize(
+    ...     TraceSet((trace,)),
+    ...     prior=wide_prior(["nhkv"]),
+    ...     simulator=simulator,
+    ...     estimate_noise=False,
+    ...     rest_radius=(0.2, 0.002),
+    ...     options=SearchOptions(scouts=16, starts=2),
+    ... )
+    >>> [round(x, 1) for x in (result.posterior["nhkv"].means / torch.tensor([8310.0, 0.093])).tolist()]  # over the truth
+    [1.0, 1.0]
     """
     started = time.process_time()
     if len(traces) == 0:

@@ -12,13 +12,25 @@ SeedLike = int | torch.Generator
 
 
 def child(seed: int, *names: str | int) -> int:
-    """A 63-bit seed that is a function of ``seed`` and the path ``names`` alone."""
+    """A 63-bit seed that is a function of ``seed`` and the path ``names`` alone.
+
+    >>> from imr_torch.random import child
+    >>> child(0, "noise", 1) == child(0, "noise", 1), child(0, "noise", 1) == child(0, "noise", 2)
+    (True, False)
+    """
     path = "/".join([str(seed), *map(str, names)])
     return int.from_bytes(hashlib.sha256(path.encode()).digest()[:8], "big") >> 1
 
 
 def generator(seed: SeedLike, device: torch.device | str = "cpu") -> torch.Generator:
-    """The generator of ``seed``; a generator is passed through, so functions can share one."""
+    """The generator of ``seed``; a generator is passed through, so functions can share one.
+
+    >>> import torch
+    >>> from imr_torch.random import generator
+    >>> source = generator(7)
+    >>> generator(source) is source, torch.rand(3, generator=source).shape
+    (True, torch.Size([3]))
+    """
     if isinstance(seed, torch.Generator):
         return seed
     return torch.Generator(device=device).manual_seed(seed)

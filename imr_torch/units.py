@@ -26,6 +26,13 @@ class Surroundings:
         surface_tension: ``gamma`` in N/m.
         temperature: ``T_inf`` in K.
         sound_speed: ``c`` of the gel in m/s.
+
+    >>> from imr_torch.units import Surroundings
+    >>> water = Surroundings(density=998.0)
+    >>> round(water.velocity_scale, 2)  # sqrt(p_inf/rho), m/s
+    10.08
+    >>> round(water.weber(200e-6), 1)
+    180.9
     """
 
     far_field_pressure: float = 101325.0

@@ -63,6 +63,18 @@ def assimilate_en4dvar(
 
     Raises:
         ConvergenceError: if fewer than half of an ensemble could be simulated.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import En4DVarOptions, assimilate_en4dvar
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
+    >>> fits = assimilate_en4dvar(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=En4DVarOptions(members=16))
+    >>> min(fits.fits, key=lambda fit: fit.cost).model
+    'nhkv'
     """
     options = options or En4DVarOptions()
     used = tempered(batch) if options.tempered else batch

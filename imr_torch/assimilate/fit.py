@@ -43,6 +43,11 @@ class Certificate:
         iterations: Gauss-Newton iterations of the best start.
         failed_members: share of ensemble members whose solve failed.
         converged: whether gradient and agreement are within the tolerances asked for.
+
+    >>> from imr_torch.assimilate import Certificate
+    >>> certificate = Certificate(gradient=2e-4, agreement=1e-3, iterations=9, failed_members=0.0, converged=True)
+    >>> print(certificate)
+    converged (gradient 2.0e-04 sd, starts agree within 0.001 nats, 9 iterations, 0.0 % of members failed)
     """
 
     gradient: float
@@ -65,7 +70,12 @@ class Certificate:
 
 
 class Verdict(Enum):
-    """What becomes of a Gaussian answer."""
+    """What becomes of a Gaussian answer.
+
+    >>> from imr_torch.assimilate import Verdict
+    >>> Verdict.REPAIRED.value
+    'repaired'
+    """
 
     UNCHECKED = "unchecked"
     TRUSTED = "trusted"
@@ -88,6 +98,19 @@ class ModelFit:
         prediction: ``E x T`` tensor, R/Rmax at the optimum.
         certificate: whether it converged.
         sample: draws weighed by the exact posterior; None before :func:`imr_torch.assimilate.weigh`.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import SearchOptions, assimilate
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> posterior = fits["nhkv"].posterior
+    >>> posterior.names, [round(float(sd / mean), 2) for mean, sd in zip(posterior.means, posterior.sds)]
+    (('G', 'mu'), [0.01, 0.01])
     """
 
     prior: ModelBelief
@@ -189,6 +212,20 @@ class Assimilation:
         prior: belief before the data.
         batch: the data.
         fits: one per model, in the order of the belief.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import SearchOptions, assimilate
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> fits.converged, [fit.model for fit in fits.fits]
+    (True, ['nhkv', 'gen_qkv'])
+    >>> round(fits.rmse("nhkv"), 4)  # in R*
+    0.0105
     """
 
     prior: Belief

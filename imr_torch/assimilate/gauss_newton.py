@@ -41,6 +41,16 @@ class NormalEquations:
         gel_hessian: ``... x d x d`` tensor, Gauss-Newton Hessian, prior included.
         nuisance_hessian: ``... x E x 3 x 3`` tensor.
         cross: ``... x E x 3 x d`` tensor.
+
+    >>> import torch
+    >>> from imr_torch.assimilate import normal_equations
+    >>> gel, nuisances = torch.tensor([2.0], dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64)
+    >>> slope = torch.ones(1, 1, 1, dtype=torch.float64)  # one frame of one experiment
+    >>> still = torch.zeros(1, 1, 3, dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64)
+    >>> equations = normal_equations(gel, nuisances, (torch.tensor([1.0]).double(), still[1]), (slope, still[0]))
+    >>> step, _ = equations.step(torch.tensor(0.0, dtype=torch.float64))
+    >>> round(float(step), 3)  # gradient 2 + 1 over Hessian 1 + 1
+    -1.5
     """
 
     gel_gradient: Tensor
@@ -111,6 +121,15 @@ def normal_equations(
 
     Returns:
         The normal equations.
+
+    >>> import torch
+    >>> from imr_torch.assimilate import normal_equations
+    >>> gel, nuisances = torch.tensor([2.0], dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64)
+    >>> gradients = torch.tensor([1.0], dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64)
+    >>> sensitivities = torch.ones(1, 1, 1, dtype=torch.float64), torch.zeros(1, 1, 3, dtype=torch.float64)
+    >>> equations = normal_equations(gel, nuisances, gradients, sensitivities)
+    >>> equations.gel_gradient.tolist(), equations.gel_hessian.tolist()  # prior included
+    ([3.0], [[2.0]])
     """
     by_gel, by_nuisance = sensitivities
     gel_prior = torch.eye(gel.shape[-1], dtype=gel.dtype, device=gel.device)
@@ -136,6 +155,12 @@ def ensemble_sensitivity(anomalies: Tensor, responses: Tensor) -> Tensor:
 
     Returns:
         ``... x m x d`` tensor; zero where no member counts.
+
+    >>> import torch
+    >>> from imr_torch.assimilate import ensemble_sensitivity
+    >>> anomalies = torch.tensor([[1.0], [-1.0], [2.0], [-2.0]], dtype=torch.float64)  # of four members
+    >>> ensemble_sensitivity(anomalies, anomalies * torch.tensor([3.0, -0.5])).round(decimals=6).tolist()
+    [[3.0], [-0.5]]
     """
     good = torch.isfinite(responses).all(-1, keepdim=True)
     controls = torch.where(good, anomalies, 0.0)

@@ -74,6 +74,17 @@ class ImportanceSample:
         first_shape: ``k`` of the first round, whose proposal is the Gaussian with heavier tails.
         rounds: how many rounds of draws were made; these are of the last one, whose proposal owes nothing to them.
         precisions: ``n x d x d`` tensor, of the posterior about each draw; None where not known.
+
+    >>> import torch
+    >>> from imr_torch.assimilate import ImportanceSample
+    >>> from imr_torch.random import generator
+    >>> prior, zero, one = torch.distributions.Normal(0.0, 1.0), torch.zeros(1), torch.eye(1)
+    >>> v = torch.randn(200, 1, generator=generator(0), dtype=torch.float64)  # draws of the prior are the proposal
+    >>> likelihood = torch.distributions.Normal(1.0, 1.0).log_prob(v)  # a datum of 1 with unit noise: posterior mean 1/2
+    >>> nuisances, density = torch.zeros(200, 1, 3), prior.log_prob(v)[:, 0]
+    >>> sample = ImportanceSample(v, density, likelihood, density, nuisances, zero, one, first_shape=0.0, rounds=1)
+    >>> sample.reliable, round(float(sample.mean), 1), round(sample.log_evidence, 1)
+    (True, 0.5, -1.5)
     """
 
     controls: Tensor

@@ -63,6 +63,20 @@ def assimilate(
     Raises:
         ConvergenceError: if fewer prior draws than two could be simulated at all for some model.
         ShapeError: if the starts do not suit the models.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import SearchOptions, assimilate
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> {fit.model: fit.certificate.converged for fit in fits.fits}
+    {'nhkv': True, 'gen_qkv': True}
+    >>> min(fits.fits, key=lambda fit: fit.cost).model
+    'nhkv'
     """
     options, source = options or SearchOptions(), generator(child(seed, "assimilate"))
     posteriors = [Posterior(part, batch, simulator) for part in belief.models]

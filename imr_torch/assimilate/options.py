@@ -27,6 +27,7 @@ class SearchOptions:
         polish: whether the best chains that have not converged after all iterations are taken to their minimum by
             quasi-Newton steps, and iterated once more (:mod:`imr_torch.assimilate.polish`).
 
+    >>> from imr_torch.assimilate import SearchOptions
     >>> SearchOptions(starts=2).gradient
     0.001
     """
@@ -62,6 +63,7 @@ class En4DVarOptions:
         tempered: whether the likelihood is the published one: repeats count as one curve, their mean, with the noise of one,
             and its misfit is divided by the number of frames. Intervals are then far too wide.
 
+    >>> from imr_torch.assimilate import En4DVarOptions
     >>> En4DVarOptions(members=32).cycles
     3
     """

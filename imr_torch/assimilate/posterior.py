@@ -29,6 +29,12 @@ class Point:
     Args:
         gel: ``batch_shape x d`` tensor.
         nuisances: ``batch_shape x E x 3`` tensor.
+
+    >>> import torch
+    >>> from imr_torch.assimilate import Point
+    >>> point = Point(gel=torch.zeros(4, 2, dtype=torch.float64), nuisances=torch.zeros(4, 1, 3, dtype=torch.float64))
+    >>> tuple(point[:2].gel.shape)  # the first two of four gels with one experiment
+    (2, 2)
     """
 
     gel: Tensor
@@ -50,6 +56,17 @@ class Posterior:
         prior: of the gel.
         batch: the experiments, with their noise and the priors of their nuisances.
         simulator: makes the bubbles.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.assimilate import Point, Posterior
+    >>> from imr_torch.observe import Experiment, ExperimentBatch
+    >>> times, radius = torch.tensor([[0.0, 0.5, 1.0], [1.0, 0.84, 0.31]], dtype=torch.float64)
+    >>> batch = ExperimentBatch((Experiment("shot 1", (400.0, 0.22), times, radius[None]),))
+    >>> posterior = Posterior(wide_prior(["nhkv"])["nhkv"], batch, PolytropicSimulator())
+    >>> gels = torch.tensor([[0.0, 0.0], [0.5, 0.0]], dtype=torch.float64)  # the prior median, and a stiffer gel
+    >>> [round(x) for x in posterior.log_joint(Point(gels, posterior.still(2))).tolist()]
+    [4, -17]
     """
 
     prior: ModelBelief
@@ -152,6 +169,17 @@ class Neighbourhood:
         point: ``batch_shape`` points.
         moves: ``batch_shape x N x d`` tensor, by which the gel was moved.
         prediction: ``batch_shape x (1 + N + S) x E x T`` tensor: of the point, of gels moved, of each uncertain nuisance moved.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.assimilate import Point, Posterior
+    >>> from imr_torch.observe import Experiment, ExperimentBatch
+    >>> times, radius = torch.tensor([[0.0, 0.5, 1.0], [1.0, 0.84, 0.31]], dtype=torch.float64)
+    >>> batch = ExperimentBatch((Experiment("shot 1", (400.0, 0.22), times, radius[None]),))
+    >>> posterior = Posterior(wide_prior(["nhkv"])["nhkv"], batch, PolytropicSimulator())
+    >>> near = posterior.neighbourhood(Point(torch.zeros(1, 2, dtype=torch.float64), posterior.still(1)))
+    >>> tuple(near.prediction.shape)  # 1 point, with one neighbour along G and one along mu
+    (1, 3, 1, 3)
     """
 
     posterior: Posterior

@@ -32,6 +32,10 @@ class PublishedOptions:
         iterations: Gauss-Newton iterations of each cycle.
         cycles: the first and its restarts.
         relaxation: share by which spread is relaxed to that at the start of a cycle, between cycles.
+
+    >>> from imr_torch.assimilate import PublishedOptions
+    >>> PublishedOptions(members=24).iterations
+    5
     """
 
     members: int = 48
@@ -57,6 +61,15 @@ class PublishedFit:
         prior: belief it was drawn from.
         ensembles: ``n x N x d`` tensor of controls ``z`` of ``prior``, before each iteration, and at the end.
         prediction: ``N x T`` tensor, R/Rmax of the last ensemble that was simulated; NaN where a solve failed.
+
+    >>> import torch
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.assimilate import PublishedFit
+    >>> from imr_torch.random import generator
+    >>> members = 0.5 + 0.1 * torch.randn(1, 200, 2, generator=generator(0), dtype=torch.float64)
+    >>> fit = PublishedFit(wide_prior(["nhkv"])["nhkv"], members, torch.ones(200, 3))
+    >>> [round(x, 1) for x in fit.posterior.mean.tolist()]
+    [0.5, 0.5]
     """
 
     prior: ModelBelief
@@ -72,7 +85,15 @@ class PublishedFit:
 
 
 def as_one_curve(experiment: Experiment) -> Experiment:
-    """The mean of all repeats, as if it were one of them."""
+    """The mean of all repeats, as if it were one of them.
+
+    >>> import torch
+    >>> from imr_torch.assimilate import as_one_curve
+    >>> from imr_torch.observe import Experiment
+    >>> times, *radii = torch.tensor([[0.0, 1.0], [1.0, 0.3], [1.0, 0.4]], dtype=torch.float64)
+    >>> as_one_curve(Experiment("shot 1", (400.0, 0.22), times, torch.stack(radii))).radius.round(decimals=3).tolist()
+    [[1.0, 0.35]]
+    """
     return Experiment(experiment.label, experiment.design, experiment.times, experiment.mean[None], experiment.nuisance)
 
 
@@ -102,6 +123,19 @@ def assimilate_published(
 
     Raises:
         ConvergenceError: if most of an ensemble could not be simulated.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import PublishedOptions, assimilate_published
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import Noise, SimulatedLaboratory
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
+    >>> options = PublishedOptions(members=16, cycles=1)
+    >>> fits = assimilate_published(case.prior, shot, Noise(), simulator, seed=0, options=options)
+    >>> [tuple(fit.ensembles.shape) for fit in fits]  # iterations + 1, members, parameters
+    [(6, 16, 2), (6, 16, 3)]
     """
     options = options or PublishedOptions()
     batch = ExperimentBatch((as_one_curve(experiment),), noise)

@@ -131,6 +131,19 @@ def weigh(
     Raises:
         InputDataError: for fewer than 25 samples or no round.
         ConvergenceError: if no draw of some model could be simulated.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import SearchOptions, assimilate, weigh
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> weighed = weigh(fits, simulator, seed=0, samples=64)
+    >>> weighed["nhkv"].verdict.value
+    'trusted'
     """
     if samples < 25 or rounds < 1:
         raise InputDataError(f"weigh: samples {samples} must be at least 25, and rounds {rounds} at least 1.")

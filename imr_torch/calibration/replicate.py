@@ -56,6 +56,12 @@ class Arrangement:
         learn: what the inference is given of the experiments; the data with their own noise when not given. For inferences
             that are wrong, to see that this is found, or know less.
         noise_rounds: how often the inference estimates the noise from its residuals.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.calibration import Arrangement
+    >>> arrangement = Arrangement(wide_prior(["nhkv"]), designs=((400.0, 0.22), (600.0, 0.18)), samples=64)
+    >>> len(arrangement.designs), arrangement.plan.repeats
+    (2, 1)
     """
 
     prior: Belief
@@ -88,6 +94,10 @@ class Replicate:
         redrawn: gels before this one that could not be simulated.
         failure: why there is no inference, and nothing of the above; None if there is.
         seconds: processor time.
+
+    >>> from imr_torch.calibration import Replicate
+    >>> Replicate(0, "nhkv", reported={"G": 0.31, "mu": 0.77}).failure is None
+    True
     """
 
     number: int
@@ -125,17 +135,16 @@ def calibrate(
     Yields:
         Replicates, in the order of their numbers.
 
-    >>> from imr_torch.design import Plan
-    >>> from imr_torch.material import reference_case
-    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.calibration import Arrangement, calibrate
     >>> prior = reference_case("soft-pa").prior
     >>> def prior_draws(batch, model, seed):  # an inference that does not look at the data
     ...     part = prior[model]
     ...     return part.physical(part.controls(100, seed=seed))
     >>> arrangement = Arrangement(prior, designs=((400.0, 0.22),))
     >>> found = list(calibrate(arrangement, PolytropicSimulator(), range(3), seed=0, infer=prior_draws))
-    >>> [sorted(replicate.reported) for replicate in found][0][:2]
-    ['G', 'mu']
+    >>> [replicate.number for replicate in found], "G" in found[0].reported
+    ([0, 1, 2], True)
     """
     for number in numbers:
         own = child(seed, "replicate", number)

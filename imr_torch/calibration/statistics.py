@@ -30,6 +30,11 @@ class Uniformity:
         kolmogorov_p: p-value of the largest distance of the empirical distribution from the diagonal.
         spread: root mean square of the numbers as standard normal scores; above 1 intervals are too narrow.
         spread_p: its p-value, two-sided, from chi-square: the most telling of the three where only the width is wrong.
+
+    >>> from imr_torch.calibration import uniformity
+    >>> found = uniformity([(k + 0.5) / 100 for k in range(100)], bins=4)
+    >>> found.counts, found.p > 0.05
+    ((25, 25, 25, 25), True)
     """
 
     count: int
@@ -54,6 +59,10 @@ class Coverage:
         share: of cases in which they held it.
         low: lower end of the 95 % confidence interval of that share.
         high: its upper end.
+
+    >>> from imr_torch.calibration import Coverage
+    >>> Coverage(level=0.9, share=0.86, low=0.80, high=0.91).fits
+    True
     """
 
     level: float
@@ -82,6 +91,11 @@ class Reliability:
         error_high: its upper end.
         by_chance: mean of ``error`` if the stated probabilities were right, for this many cases; it is never zero.
         p: probability of an ``error`` at least as large if they were right.
+
+    >>> from imr_torch.calibration import reliability
+    >>> found = reliability([0.1, 0.1, 0.9, 0.9], [False, False, True, True], bins=2, resamples=100)
+    >>> found.counts, found.stated
+    ((2, 2), (0.1, 0.9))
     """
 
     stated: tuple[float, ...]
@@ -112,6 +126,11 @@ def uniformity(values: Sequence[float], *, bins: int | None = None) -> Uniformit
 
     Raises:
         InputDataError: if a value is outside, or there are too few for the bins.
+
+    >>> from imr_torch.calibration import uniformity
+    >>> too_narrow = [0.0] * 50 + [1.0] * 50  # truths always outside the posterior
+    >>> uniformity(too_narrow).p < 1e-6
+    True
     """
     found = _checked(values, "uniformity")
     bins = bins or max(2, min(20, len(found) // 10))
@@ -131,7 +150,12 @@ def uniformity(values: Sequence[float], *, bins: int | None = None) -> Uniformit
 
 
 def envelope(count: int, level: float = 0.95) -> float:
-    """Half width of the band about the diagonal that holds the whole empirical distribution of ``count`` uniform numbers."""
+    """Half width of the band about the diagonal that holds the whole empirical distribution of ``count`` uniform numbers.
+
+    >>> from imr_torch.calibration import envelope
+    >>> round(envelope(100), 3)
+    0.134
+    """
     return float(stats.kstwo.ppf(level, count))
 
 
@@ -147,6 +171,11 @@ def coverage(values: Sequence[float], level: float) -> Coverage:
     Args:
         values: places of truths in their posteriors.
         level: probability of the interval.
+
+    >>> from imr_torch.calibration import coverage
+    >>> found = coverage([(k + 0.5) / 100 for k in range(100)], level=0.9)  # places of truths in their posteriors
+    >>> found.share, found.fits
+    (0.9, True)
     """
     found = _checked(values, "coverage")
     hits = int((np.abs(found - 0.5) <= 0.5 * level).sum())
@@ -173,6 +202,11 @@ def reliability(
 
     Raises:
         ShapeError: if there is not one outcome for each probability.
+
+    >>> from imr_torch.calibration import reliability
+    >>> found = reliability([0.1, 0.1, 0.9, 0.9], [False, False, True, True], bins=2, resamples=100)
+    >>> round(found.error, 2), found.share
+    (0.1, (0.0, 1.0))
     """
     p, hit = _checked(stated, "reliability"), np.asarray(true, dtype=float)
     if p.shape != hit.shape:
@@ -207,6 +241,13 @@ def rank_correlation(expected: Tensor, realised: Tensor, *, resamples: int = 100
 
     Raises:
         ShapeError: if shapes do not fit.
+
+    >>> import torch
+    >>> from imr_torch.calibration import rank_correlation
+    >>> expected = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)  # information gain of three designs
+    >>> realised = torch.tensor([[0.9, 1.1], [2.1, 1.9], [3.2, 2.8]], dtype=torch.float64)
+    >>> rank_correlation(expected, realised, resamples=20)
+    (1.0, 0.0)
     """
     if expected.ndim != 1 or realised.ndim != 2 or len(realised) != len(expected) or len(expected) < 3:
         raise ShapeError(

@@ -1,7 +1,7 @@
 """Stage 7, do it again: ask, experiment, assimilate, select, and the journal that remembers all of it."""
 
 from imr_torch.campaign.journal import Journal
-from imr_torch.campaign.learners import ExactLearner, Harvest, Learner, Lesson, PaperLearner
+from imr_torch.campaign.learners import ExactLearner, Inference, Learner, Observations, PaperLearner
 from imr_torch.campaign.loop import Campaign, CampaignSettings, Step
 from imr_torch.campaign.policies import (
     PAPER_OPTIMAL,
@@ -39,11 +39,11 @@ __all__ = [
     "ExactLearner",
     "Fixed",
     "GainBelow",
-    "Harvest",
+    "Inference",
     "Journal",
     "Learner",
-    "Lesson",
     "ModelProbability",
+    "Observations",
     "Optimal",
     "Outcome",
     "PaperLearner",

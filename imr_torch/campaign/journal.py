@@ -31,6 +31,13 @@ class Journal:
 
     Args:
         folder: where ``journal.jsonl`` and the curves are kept; made when missing.
+
+    >>> import tempfile
+    >>> from imr_torch.campaign import Journal
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = Journal(folder).append("note", text="laser realigned")
+    ...     Journal(folder).find("note")["text"]
+    'laser realigned'
     """
 
     def __init__(self, folder: str | Path) -> None:

@@ -31,7 +31,7 @@ from imr_torch.types import Progress
 
 
 @dataclass(frozen=True)
-class Harvest:
+class Observations:
     """What there is to learn from.
 
     Args:
@@ -40,6 +40,15 @@ class Harvest:
         batch: all experiments, cut to the window that is assimilated.
         fresh: how many were told since ``belief``.
         seed: of the campaign.
+
+    >>> import torch
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.campaign import Observations
+    >>> from imr_torch.observe import Experiment, ExperimentBatch
+    >>> times, radius = torch.tensor([[0.0, 0.5], [1.0, 0.84]], dtype=torch.float64)
+    >>> batch, prior = ExperimentBatch((Experiment("shot 1", (400.0, 0.22), times, radius[None]),)), wide_prior(["nhkv"])
+    >>> Observations(prior, belief=prior, batch=batch, fresh=1, seed=0).fresh
+    1
     """
 
     prior: Belief
@@ -50,7 +59,7 @@ class Harvest:
 
 
 @dataclass(frozen=True)
-class Lesson:
+class Inference:
     """What was learnt.
 
     Args:
@@ -59,6 +68,12 @@ class Lesson:
         record: what else the journal keeps, JSON-ready.
         assimilation: the fits; None if the method makes none to all experiments.
         noise: of one curve, as the residuals have it; None if the method takes it as planned.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.campaign import Inference
+    >>> inference = Inference(wide_prior(["nhkv"]), record={"method": "none"})
+    >>> inference.belief.keys, inference.evidence
+    (('nhkv',), ())
     """
 
     belief: Belief
@@ -69,10 +84,16 @@ class Lesson:
 
 
 class Learner(Protocol):
-    """Turns experiments into a belief; a frozen dataclass."""
+    """Turns experiments into a belief; a frozen dataclass.
 
-    def learn(self, harvest: Harvest, simulator: Simulator, *, progress: Progress | None = None) -> Lesson:
-        """The belief after all experiments, a function of the harvest alone."""
+    >>> from imr_torch.campaign import CampaignSettings, ExactLearner, Learner
+    >>> learner: Learner = ExactLearner()
+    >>> CampaignSettings(learner=learner).learner == learner
+    True
+    """
+
+    def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
+        """The belief after all experiments, a function of the observations alone."""
         ...
 
 
@@ -86,6 +107,11 @@ class ExactLearner:
             :class:`imr_torch.assimilate.En4DVarOptions`.
         noise_rounds: how often the noise is estimated from the residuals of all experiments, as measured curves want it; with 0
             it is as planned.
+
+    >>> from imr_torch.campaign import CampaignSettings, ExactLearner
+    >>> settings = CampaignSettings(learner=ExactLearner(samples=128, noise_rounds=1))
+    >>> settings.learner.options.starts
+    3
     """
 
     samples: int = 256
@@ -96,26 +122,26 @@ class ExactLearner:
         if self.noise_rounds < 0:
             raise InputDataError(f"ExactLearner.noise_rounds is {self.noise_rounds}; expected 0 or more.")
 
-    def learn(self, harvest: Harvest, simulator: Simulator, *, progress: Progress | None = None) -> Lesson:
+    def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
         """See :class:`Learner`."""
-        number = len(harvest.batch.experiments)
+        number = len(observations.batch.experiments)
         result = assimilate_estimating_noise(
-            harvest.prior,
-            harvest.batch,
+            observations.prior,
+            observations.batch,
             simulator,
             rounds=self.noise_rounds,
-            seed=child(harvest.seed, "assimilate", number),
+            seed=child(observations.seed, "assimilate", number),
             options=self.options,
             progress=progress,
         )
-        result = weigh(result, simulator, seed=child(harvest.seed, "weigh", number), samples=self.samples)
+        result = weigh(result, simulator, seed=child(observations.seed, "weigh", number), samples=self.samples)
         evidence = evidences(result)
         record = {
             "certificates": {fit.model: finite(asdict(fit.certificate)) for fit in result.fits},
             "gaussian_answer": {fit.model: fit.trust for fit in result.fits},
         }
         noise = result.batch.noise if self.noise_rounds else None
-        return Lesson(update(result, evidence), evidence, record, result, noise)
+        return Inference(update(result, evidence), evidence, record, result, noise)
 
 
 @dataclass(frozen=True)
@@ -124,28 +150,33 @@ class PaperLearner:
 
     Args:
         options: sizes of the assimilation.
+
+    >>> from imr_torch.assimilate import PublishedOptions
+    >>> from imr_torch.campaign import PaperLearner
+    >>> PaperLearner(PublishedOptions(members=24)).options.members
+    24
     """
 
     options: PublishedOptions = field(default_factory=PublishedOptions)
 
-    def learn(self, harvest: Harvest, simulator: Simulator, *, progress: Progress | None = None) -> Lesson:
+    def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
         """See :class:`Learner`.
 
         Raises:
             InputDataError: if the design or the clock of an experiment is uncertain, which the method cannot express.
         """
-        batch, belief, record = harvest.batch, harvest.belief, {}
+        batch, belief, record = observations.batch, observations.belief, {}
         if bool((batch.nuisance_sds > 0.0).any()):
             raise InputDataError("PaperLearner takes designs and clocks as exact; give experiments without nuisances.")
         count = len(batch.experiments)
-        for number in range(count - harvest.fresh + 1, count + 1):
+        for number in range(count - observations.fresh + 1, count + 1):
             experiment = batch.experiments[number - 1]
             fits = assimilate_published(
                 belief,
                 experiment,
                 batch.noise,
                 simulator,
-                seed=child(harvest.seed, "assimilate", number),
+                seed=child(observations.seed, "assimilate", number),
                 options=self.options,
                 progress=progress,
             )
@@ -154,7 +185,7 @@ class PaperLearner:
             parts = tuple(product(fit.prior, fit.posterior) for fit in fits)
             belief = Belief(parts, ((so_far * (number - 1) + here) / number).log())
             record = {"probabilities_of_this_design": dict(zip(belief.keys, here.tolist(), strict=True))}
-        return Lesson(belief, record=record)
+        return Inference(belief, record=record)
 
 
 def product(first: ModelBelief, second: ModelBelief) -> ModelBelief:

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation
 from imr_torch.campaign.journal import Journal, differing
-from imr_torch.campaign.learners import ExactLearner, Harvest, Learner, PaperLearner, finite
+from imr_torch.campaign.learners import ExactLearner, Learner, Observations, PaperLearner, finite
 from imr_torch.campaign.policies import PAPER_OPTIMAL, DesignPolicy, Optimal, Proposal, Situation
 from imr_torch.campaign.stopping import Standing, StoppingRule
 from imr_torch.design import DesignSearch, DesignSpace, Plan
@@ -41,6 +41,11 @@ class CampaignSettings:
         policy: chooses designs.
         learner: turns experiments into a belief.
         stop: ends the campaign; None to go on as long as :meth:`Campaign.run` is asked to.
+
+    >>> from imr_torch.campaign import CampaignSettings, Designs, SpaceFilling
+    >>> settings = CampaignSettings(policy=SpaceFilling(), stop=Designs(5))
+    >>> settings.to_dict()["stop"]
+    {'kind': 'Designs', 'count': 5}
     """
 
     space: DesignSpace = field(default_factory=DesignSpace)
@@ -78,6 +83,12 @@ class Step:
         evidence: evidence of each model, all experiments together; empty if the learner knows none.
         assimilation: the fits; None when the step was read back from the journal, or the learner makes none.
         noise: of one curve, if the learner estimates it.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.campaign import Step
+    >>> step = Step(1, wide_prior(["nhkv"]), evidence=())
+    >>> step.number, step.belief.keys
+    (1, ('nhkv',))
     """
 
     number: int
@@ -100,6 +111,22 @@ class Campaign:
 
     Raises:
         InputDataError: if the folder holds the journal of another campaign.
+
+    >>> import tempfile
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import SearchOptions
+    >>> from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Fixed
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> learner = ExactLearner(64, SearchOptions(scouts=16, starts=2))
+    >>> settings = CampaignSettings(policy=Fixed(((400.0, 0.22),)), learner=learner)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     campaign = Campaign(folder, case.prior, simulator, settings=settings, seed=0)
+    ...     step = campaign.tell(laboratory.shoot(campaign.ask().design, seed=0))
+    >>> step.number, campaign.belief.best.model
+    (1, 'nhkv')
     """
 
     def __init__(
@@ -246,18 +273,18 @@ class Campaign:
         """Learn from all experiments so far and record the belief; what :meth:`tell` does last."""
         number, settings = len(self.experiments), self.settings
         batch = ExperimentBatch(tuple(self._window(e) for e in self.experiments), settings.plan.noise)
-        lesson = settings.learner.learn(
-            Harvest(self.prior, self.belief, batch, number - self._learnt, self.seed), self.simulator, progress=progress
+        inference = settings.learner.learn(
+            Observations(self.prior, self.belief, batch, number - self._learnt, self.seed), self.simulator, progress=progress
         )
         self.journal.append(
             "belief",
             step=number,
-            belief=lesson.belief.to_dict(),
-            evidence=[finite(asdict(e)) for e in lesson.evidence],
-            noise=vars(lesson.noise) if lesson.noise else None,
-            **lesson.record,
+            belief=inference.belief.to_dict(),
+            evidence=[finite(asdict(e)) for e in inference.evidence],
+            noise=vars(inference.noise) if inference.noise else None,
+            **inference.record,
         )
-        self.steps.append(Step(number, lesson.belief, lesson.evidence, lesson.assimilation, lesson.noise))
+        self.steps.append(Step(number, inference.belief, inference.evidence, inference.assimilation, inference.noise))
         return self.steps[-1]
 
     def _window(self, experiment: Experiment) -> Experiment:

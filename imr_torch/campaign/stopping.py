@@ -21,6 +21,12 @@ class Standing:
         belief: what is thought of the gel now.
         experiments: all that were told.
         gain: expected information gain of the experiment that is proposed, nats; None when not known.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.campaign import GainBelow, Standing
+    >>> now = Standing(wide_prior(["nhkv"]), experiments=(), gain=0.4)
+    >>> GainBelow(0.5).reason(now)
+    'the next design is expected to tell less than 0.5 nats'
     """
 
     belief: Belief
@@ -29,7 +35,14 @@ class Standing:
 
 
 class StoppingRule(Protocol):
-    """Says whether to stop; a frozen dataclass."""
+    """Says whether to stop; a frozen dataclass.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.campaign import Designs, Standing, StoppingRule
+    >>> rule: StoppingRule = Designs(3)
+    >>> rule.reason(Standing(wide_prior(["nhkv"]), experiments=())) is None  # go on
+    True
+    """
 
     def reason(self, standing: Standing) -> str | None:
         """Why to stop now, or None."""
@@ -42,6 +55,11 @@ class Designs:
 
     Args:
         count: how many.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.campaign import Designs, Standing
+    >>> Designs(3).reason(Standing(wide_prior(["nhkv"]), experiments=())) is None  # go on
+    True
     """
 
     count: int
@@ -62,6 +80,11 @@ class RelativeSd:
 
     Args:
         below: posterior standard deviation over posterior mean; a parameter of mean 0 is never known so well.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.campaign import RelativeSd, Standing
+    >>> RelativeSd(below=0.01).reason(Standing(wide_prior(["nhkv"]), experiments=())) is None  # the prior is wider than 1 %
+    True
     """
 
     below: float
@@ -85,6 +108,11 @@ class ModelProbability:
 
     Args:
         above: its posterior probability.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.campaign import ModelProbability, Standing
+    >>> ModelProbability(above=0.95).reason(Standing(wide_prior(["nhkv"]), experiments=()))
+    'nhkv has a probability above 0.95'
     """
 
     above: float
@@ -106,6 +134,11 @@ class GainBelow:
 
     Args:
         nats: least expected information gain worth an experiment.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.campaign import GainBelow, Standing
+    >>> GainBelow(nats=0.5).reason(Standing(wide_prior(["nhkv"]), experiments=(), gain=0.4))
+    'the next design is expected to tell less than 0.5 nats'
     """
 
     nats: float
@@ -129,6 +162,15 @@ class Budget:
         total: what there is, in any unit.
         per_design: cost of setting up a design.
         per_curve: cost of each repeat.
+
+    >>> import torch
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.campaign import Budget, Standing
+    >>> from imr_torch.observe import Experiment
+    >>> times, radius = torch.tensor([[0.0, 0.5], [1.0, 0.84]], dtype=torch.float64)
+    >>> shot = Experiment("shot 1", (400.0, 0.22), times, radius[None])
+    >>> Budget(total=5.0, per_design=3.0).reason(Standing(wide_prior(["nhkv"]), (shot,)))
+    '3 of the budget of 5 are spent'
     """
 
     total: float
@@ -158,6 +200,12 @@ class AnyOf:
 
     Args:
         rules: the rules; the first that has a reason gives it.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.campaign import AnyOf, Designs, GainBelow, Standing
+    >>> rule = AnyOf((Designs(10), GainBelow(0.5)))
+    >>> rule.reason(Standing(wide_prior(["nhkv"]), experiments=(), gain=0.4))
+    'the next design is expected to tell less than 0.5 nats'
     """
 
     rules: tuple[StoppingRule, ...]
@@ -173,6 +221,12 @@ class AllOf:
 
     Args:
         rules: the rules, at least one.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.campaign import AllOf, Designs, GainBelow, Standing
+    >>> rule = AllOf((Designs(10), GainBelow(0.5)))
+    >>> rule.reason(Standing(wide_prior(["nhkv"]), experiments=(), gain=0.4)) is None  # ten designs are not shot yet
+    True
     """
 
     rules: tuple[StoppingRule, ...]
@@ -201,6 +255,10 @@ def stopping_rule(*texts: str) -> StoppingRule | None:
 
     Raises:
         InputDataError: for a text that is no rule.
+
+    >>> from imr_torch.campaign import stopping_rule
+    >>> stopping_rule("sd=0.01,probability=0.99", "designs=5")
+    AnyOf(rules=(AllOf(rules=(RelativeSd(below=0.01), ModelProbability(above=0.99))), Designs(count=5)))
     """
     rules = [_all_of(text) for text in texts]
     return (rules[0] if len(rules) == 1 else AnyOf(tuple(rules))) if rules else None

@@ -38,6 +38,19 @@ class Study:
         laboratory: makes the data.
         settings: how campaigns choose, learn and end.
         note: what else identifies a campaign, JSON-ready.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.campaign import Study
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     study = Study(Path(folder), case.prior, simulator, laboratory)
+    ...     study.open(seed=3).journal.folder.name
+    'seed_0003'
     """
 
     folder: Path
@@ -78,6 +91,10 @@ class Outcome:
         made: of which in this run.
         cpu_seconds: CPU time that this run took; 0 when not known.
         error: why it went no further, if it was not meant to stop there; run the study again to continue.
+
+    >>> from imr_torch.campaign import Outcome
+    >>> Outcome(seed=3, designs=2, made=1).error is None
+    True
     """
 
     seed: int
@@ -113,6 +130,21 @@ def run_campaigns(
     Raises:
         InputDataError: if a folder holds the journal of another campaign.
         UnsupportedError: if the executor works with threads.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import SearchOptions
+    >>> from imr_torch.campaign import CampaignSettings, ExactLearner, Random, Study, run_campaigns
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> settings = CampaignSettings(policy=Random(), learner=ExactLearner(64, SearchOptions(scouts=16, starts=2)))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     study = Study(Path(folder), case.prior, simulator, laboratory, settings)
+    ...     [(outcome.seed, outcome.designs) for outcome in run_campaigns([0, 1], study, designs=1)]
+    [(0, 1), (1, 1)]
     """
     found: dict[int, Outcome] = {}
     for outcome in _outcomes(seeds, study, designs, executor):

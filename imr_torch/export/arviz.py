@@ -44,6 +44,12 @@ def to_arviz(source: Assimilation | Belief | Campaign, *, seed: int, draws: int 
     Raises:
         UnsupportedError: if xarray and arviz-base are not installed.
         InputDataError: for something else to export, or no draw.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.export import to_arviz
+    >>> tree = to_arviz(wide_prior(["nhkv"]), seed=0, draws=50)
+    >>> tree["nhkv/posterior"].sizes["draw"]
+    50
     """
     try:
         import arviz_base  # noqa: F401 (the tree is xarray's; without ArviZ it would be of no use)
@@ -62,6 +68,15 @@ def write_netcdf(tree: "DataTree", path: str | Path) -> None:
     Args:
         tree: what :func:`to_arviz` gave.
         path: the file; replaced if it exists.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.export import to_arviz, write_netcdf
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_netcdf(to_arviz(wide_prior(["nhkv"]), seed=0, draws=50), Path(folder) / "prior.nc")
+    ...     (Path(folder) / "prior.nc").exists()
+    True
     """
     content = tree.to_netcdf(engine="h5netcdf")
     write_atomically(Path(path), lambda stream: stream.write(content))

@@ -65,6 +65,12 @@ def to_marginal(distribution: dist.Distribution) -> Marginal:
     Raises:
         InputDataError: if it is over more numbers than one.
         UnsupportedError: if there is no map for its kind.
+
+    >>> import torch
+    >>> from torch.distributions import Gamma
+    >>> from imr_torch.export import to_marginal
+    >>> round(float(to_marginal(Gamma(2.0, 1e-3)).to_physical(torch.tensor(0.0).double())))  # its median
+    1678
     """
     shape = (*distribution.batch_shape, *distribution.event_shape)
     if math.prod(shape) != 1:
@@ -100,6 +106,12 @@ def from_distributions(
         InputDataError: as :meth:`imr_torch.material.Belief.prior` does, and for a prior that gives impossible values of its
             parameter a probability above one in a million.
         UnsupportedError: for a distribution to which no map is known.
+
+    >>> from torch.distributions import LogNormal, Uniform
+    >>> from imr_torch.export import from_distributions
+    >>> belief = from_distributions({"nhkv": {"G": LogNormal(8.5, 0.7), "mu": Uniform(0.01, 0.5)}})
+    >>> round(float(belief["nhkv"].quantile([0.5])[0, 1]), 3)  # median of mu, Pa s
+    0.255
     """
     made = {model: {name: _checked(name, prior) for name, prior in priors.items()} for model, priors in models.items()}
     return Belief.prior(made, probabilities=probabilities, known=known)

@@ -26,6 +26,12 @@ class ModelPrior(Distribution):
     Args:
         belief: the model's belief.
         dtype: of samples and log densities.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.export import ModelPrior
+    >>> prior = ModelPrior(wide_prior(["nhkv"])["nhkv"])
+    >>> prior.sample((5,)).shape
+    torch.Size([5, 2])
     """
 
     def __init__(self, belief: ModelBelief, *, dtype: torch.dtype = torch.float32) -> None:
@@ -92,6 +98,15 @@ class SbiSimulator:
         batch: designs and times; its radii are not used.
         seed: of noise and nuisances; the state goes on from call to call.
         dtype: of ``x``.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.export import SbiSimulator, sbi_simulator
+    >>> part, times = wide_prior(["nhkv"])["nhkv"], torch.linspace(0.0, 2.0, 11, dtype=torch.float64)
+    >>> designs = torch.tensor([[400.0, 0.22]], dtype=torch.float64)
+    >>> _, simulator = sbi_simulator(part, PolytropicSimulator(), designs, times, seed=0)
+    >>> isinstance(simulator, SbiSimulator), simulator(torch.tensor([[8310.0, 0.093]])).shape
+    (True, torch.Size([1, 11]))
     """
 
     def __init__(
@@ -155,6 +170,15 @@ def sbi_simulator(
     Raises:
         ShapeError: if designs are not ``q x 2``.
         InputDataError: for an impossible design or times that do not increase.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.export import sbi_simulator
+    >>> part, times = wide_prior(["nhkv"])["nhkv"], torch.linspace(0.0, 2.0, 11, dtype=torch.float64)
+    >>> designs = torch.tensor([[400.0, 0.22], [600.0, 0.18]], dtype=torch.float64)
+    >>> prior, simulator = sbi_simulator(part, PolytropicSimulator(), designs, times, seed=0)
+    >>> simulator(prior.sample((3,))).shape  # 3 gels, 2 designs of 11 frames
+    torch.Size([3, 22])
     """
     if designs.ndim != 2 or designs.shape[1] != 2:
         raise ShapeError(f"designs has shape {tuple(designs.shape)}; expected q x 2 with (We, R_inf*).")

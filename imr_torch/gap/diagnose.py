@@ -48,6 +48,17 @@ class GapReport:
         cause: names of the effects that the verdict names.
         seconds: wall time.
         reason: one sentence on how the verdict came about.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.gap import diagnose
+    >>> from imr_torch.material import PARAMETERS, library
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
+    >>> report = diagnose([shot], effects=library(["sound_speed"]), simulator=PolytropicSimulator())
+    >>> report.found, report.reason
+    (False, 'No block of the gap test rejects the base model.')
     """
 
     batch: ExperimentBatch
@@ -101,6 +112,17 @@ def diagnose(
 
     Raises:
         InputDataError: without an effect to choose from.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.gap import diagnose
+    >>> from imr_torch.material import PARAMETERS, library
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
+    >>> report = diagnose([shot], effects=library(["sound_speed", "gas_loss"]), simulator=PolytropicSimulator())
+    >>> report.verdict  # the data are of the base model, NHKV
+    'none'
     """
     start = time.perf_counter()
     base = base or wide_prior(("nhkv",)).models[0]

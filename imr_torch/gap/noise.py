@@ -48,6 +48,17 @@ def noise_of_traces(experiments: Sequence[Experiment], *, correlation_time: floa
 
     Raises:
         InputDataError: if no trace has five frames.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.gap import noise_of_traces
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=1)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
+    >>> noise = noise_of_traces([shot])
+    >>> noise.correlation_time, noise.scale > 0.25
+    (0.14, True)
     """
     unit = Noise(correlation_time=correlation_time)
     seen = [(e.times[frames], row[frames]) for e in experiments for row in e.radius if len(frames := _frames(row)) > 2 * _REACH]

@@ -59,6 +59,20 @@ def write_page(
         path: of the HTML file.
         parts: what was run beside the verdict.
         title: of the page.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.gap import diagnose, write_page
+    >>> from imr_torch.material import PARAMETERS, library
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
+    >>> report = diagnose([shot], effects=library(["sound_speed"]), simulator=PolytropicSimulator())
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     "<title>Gel 7</title>" in write_page(report, Path(folder) / "gap.html", title="Gel 7").read_text()
+    True
     """
     text = page(report, parts, title=title)
     write_atomically(Path(path), lambda stream: stream.write(text.encode()))

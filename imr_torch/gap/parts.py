@@ -33,6 +33,10 @@ class Parts:
         windows: apparent parameters over the event.
         shrinkage: how far a named cause shrinks the gap on designs that its fit did not see.
         next_design: what to shoot to tell the causes apart that are still possible.
+
+    >>> from imr_torch.gap import Parts
+    >>> Parts().onset is None  # not run
+    True
     """
 
     onset: Onset | None = None
@@ -60,6 +64,17 @@ def examine(
             ones are held out in turn.
         seed: of calibrations and searches.
         progress: called with one line per step.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.gap import Parts, diagnose, examine
+    >>> from imr_torch.material import PARAMETERS, library
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
+    >>> report = diagnose([shot], effects=library(["sound_speed"]), simulator=PolytropicSimulator())
+    >>> examine(report, PolytropicSimulator()) == Parts()  # no gap, so there is nothing to examine
+    True
     """
     if not report.found:
         return Parts()

@@ -39,7 +39,19 @@ class Section:
 
 
 def describe(report: GapReport, parts: Parts | None = None) -> str:
-    """The page in plain words."""
+    """The page in plain words.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.gap import describe, diagnose
+    >>> from imr_torch.material import PARAMETERS, library
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
+    >>> report = diagnose([shot], effects=library(["sound_speed"]), simulator=PolytropicSimulator())
+    >>> describe(report).splitlines()[1].strip()
+    'No gap was found: the base model describes these data within their noise.'
+    """
     blocks = []
     for section in sections(report, parts):
         lines = "\n".join(f"  {sentence}" for sentence in section.sentences)
@@ -281,7 +293,19 @@ def _p(value: float) -> str:
 
 
 def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
-    """The report as JSON-ready values; null for every part that was not run."""
+    """The report as JSON-ready values; null for every part that was not run.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.gap import diagnose, to_json
+    >>> from imr_torch.material import PARAMETERS, library
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
+    >>> report = diagnose([shot], effects=library(["sound_speed"]), simulator=PolytropicSimulator())
+    >>> to_json(report)["verdict"]
+    'none'
+    """
     parts = parts or Parts()
     found, when, judged, ahead = report.attribution, parts.onset, parts.shrinkage, parts.next_design
     return {

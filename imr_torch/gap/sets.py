@@ -31,6 +31,18 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
     Raises:
         InputDataError: for a file that is no set, a missing array, shapes that do not fit, a radius or a duration that no
             bubble of its design has, or a design without a finite frame.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy
+    >>> from imr_torch.gap import load_set
+    >>> times = numpy.linspace(0.0, 40e-6, 5)
+    >>> arrays = {"time_s": times[None], "radius_m": numpy.full((1, 2, 5), 2e-4), "we": [180.9], "rinf_star": [0.2]}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     numpy.savez(Path(folder) / "gel.npz", **arrays)
+    ...     (experiment,) = load_set(Path(folder) / "gel.npz")
+    >>> experiment.label, experiment.repeats
+    ('design 0', 2)
     """
     outer = surroundings or Surroundings()
     arrays = _arrays(Path(path))

@@ -52,6 +52,13 @@ class ModelBelief:
         known: values of the model's independently measured parameters, SI.
         cloud: where the Gaussian has the moments of the belief but not its shape, draws that have; a design that is chosen by
             the Gaussian would be asked to learn what is known.
+
+    >>> from imr_torch import wide_prior
+    >>> part = wide_prior(["nhkv"])["nhkv"]
+    >>> part.names
+    ('G', 'mu')
+    >>> [round(x, 2) for x in part.quantile([0.5])[0].tolist()]  # medians: Pa and Pa s
+    [5000.0, 0.1]
     """
 
     model: str
@@ -220,6 +227,11 @@ class Draws:
     Args:
         model_index: ``n`` integer tensor, which model of the belief each draw is of.
         parameters: ``n x p`` shared parameter vectors, SI.
+
+    >>> from imr_torch import wide_prior
+    >>> draws = wide_prior(["newtonian", "nhkv"]).sample(6, seed=0)
+    >>> draws.model_index.tolist()
+    [1, 1, 0, 1, 1, 1]
     """
 
     model_index: Tensor
@@ -233,6 +245,13 @@ class Belief:
     Args:
         models: one :class:`ModelBelief` per candidate.
         log_probabilities: ``M`` tensor, log probability of each; normalised on construction.
+
+    >>> from imr_torch.material import Belief, LogNormal
+    >>> belief = Belief.prior({"nhkv": {"G": LogNormal(5e3, 2.0), "mu": LogNormal(0.1, 3.0)}})
+    >>> belief.keys, belief.probabilities
+    (('nhkv',), {'nhkv': 1.0})
+    >>> belief.sample(4, seed=0).parameters.shape  # 4 parameter vectors, SI
+    torch.Size([4, 46])
     """
 
     models: tuple[ModelBelief, ...]

@@ -22,6 +22,11 @@ class ReferenceCase:
         truth_model: model that makes the data.
         truth: its parameters, SI.
         prior: the belief before the first experiment.
+
+    >>> from imr_torch import reference_case
+    >>> case = reference_case("soft-pa")
+    >>> case.truth_model, dict(case.truth)
+    ('nhkv', {'G': 8310.0, 'mu': 0.093})
     """
 
     key: str
@@ -77,6 +82,11 @@ def reference_case(key: str) -> ReferenceCase:
 
     Raises:
         InputDataError: for an unknown key; the message lists the known ones.
+
+    >>> from imr_torch import reference_case
+    >>> case = reference_case("stiff-pa")
+    >>> case.truth_model, case.prior.keys
+    ('gen_qkv', ('nhkv', 'gen_qkv'))
     """
     if key not in CASES:
         raise InputDataError(f"Unknown case {key!r}; known are {', '.join(CASES)}.")
@@ -92,6 +102,13 @@ def wide_prior(models: Sequence[str] = ("newtonian", "nhkv", "gen_qkv"), *, know
 
     Raises:
         InputDataError: for an unknown model, or a parameter without a default prior.
+
+    >>> from imr_torch import wide_prior
+    >>> belief = wide_prior(["nhkv", "gen_qkv"])
+    >>> belief.probabilities
+    {'nhkv': 0.5, 'gen_qkv': 0.5}
+    >>> belief["gen_qkv"].names
+    ('G', 'mu', 'alpha')
     """
     return Belief.prior({key: {name: _default(key, name) for name in material(key).free} for key in models}, known=known)
 

@@ -44,6 +44,13 @@ class Effect:
         vapour: ``vapour(compression, *parameters)``, the factor on the saturation pressure at the wall when the contents are
             compressed to ``P/P(0)``.
         far_field: ``far_field(time, *parameters)``, a pressure afar over ``p_inf`` and its first two time derivatives.
+
+    >>> from imr_torch.material import LIBRARY
+    >>> effect = LIBRARY["stress_relaxation"]
+    >>> effect.place, effect.names
+    ('material', ('tau',))
+    >>> effect.applies("nhkv"), effect.applies("zener")  # zener relaxes already
+    (True, False)
     """
 
     name: str
@@ -110,7 +117,15 @@ LIBRARY: dict[str, Effect] = {}
 
 
 def register_effect(effect: Effect) -> Effect:
-    """Add an effect to the library; its name must be new."""
+    """Add an effect to the library; its name must be new.
+
+    >>> from imr_torch.material import LIBRARY, Effect, TruncatedNormal, register_effect
+    >>> prior = TruncatedNormal(0.0, 1e3, lower=0.0)
+    >>> effect = Effect("linear_spring", "a small-strain spring acts as well", "material", {"G_lin": prior})
+    >>> register_effect(effect) is LIBRARY["linear_spring"]
+    True
+    >>> _ = LIBRARY.pop("linear_spring")  # undo it here
+    """
     if effect.name in LIBRARY:
         raise InputDataError(f"An effect of the name {effect.name!r} is registered already.")
     LIBRARY[effect.name] = effect
@@ -122,6 +137,12 @@ def library(names: Sequence[str] | None = None, *, without: Sequence[str] = (), 
 
     Raises:
         InputDataError: for an unknown name; the message lists the known ones.
+
+    >>> from imr_torch.material import library
+    >>> [effect.name for effect in library(["stress_relaxation", "sound_speed"])]
+    ['stress_relaxation', 'sound_speed']
+    >>> [effect.name for effect in library(["stress_relaxation", "sound_speed"], base="zener")]  # zener relaxes already
+    ['sound_speed']
     """
     for name in (*(names or ()), *without):
         if name not in LIBRARY:

@@ -45,6 +45,10 @@ def register_term(term: StressTerm) -> StressTerm:
 
     Raises:
         InputDataError: if it reads a parameter that is not registered, or its switch is not neutral at zero.
+
+    >>> from imr_torch.material import TERMS, register_term
+    >>> register_term(TERMS[0]) is TERMS[0]  # one that is known is not added again
+    True
     """
     for name in (*term.names, term.switch):
         PARAMETERS[name]
@@ -56,17 +60,38 @@ def register_term(term: StressTerm) -> StressTerm:
 
 
 def active_terms(theta: Mapping[str, Tensor], terms: Sequence[StressTerm] | None = None) -> tuple[StressTerm, ...]:
-    """Of ``terms`` (all by default), those that do something for at least one member of the batch ``theta``."""
+    """Of ``terms`` (all by default), those that do something for at least one member of the batch ``theta``.
+
+    >>> import torch
+    >>> from imr_torch.material import PARAMETERS, active_terms, dimensionless
+    >>> from imr_torch.units import Surroundings
+    >>> gel = PARAMETERS.pack({"G": 5e3, "mu": 0.1})
+    >>> theta = dimensionless(gel, torch.tensor(200e-6), Surroundings())
+    >>> [term.name for term in active_terms(theta)]
+    ['newtonian', 'neo_hookean']
+    """
     return tuple(term for term in (TERMS if terms is None else terms) if bool((theta[term.switch] != 0.0).any()))
 
 
 def memory_states(terms: Sequence[StressTerm]) -> int:
-    """How many memory states the terms carry together."""
+    """How many memory states the terms carry together.
+
+    >>> from imr_torch.material import material, memory_states
+    >>> memory_states(material("nhkv").terms), memory_states(material("zener").terms)
+    (0, 1)
+    """
     return sum(term.states for term in terms)
 
 
 def memory_start(terms: Sequence[StressTerm], rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Tensor:
-    """Memory states at time zero, ``K x B``; ``rest_radius`` is a ``B`` tensor."""
+    """Memory states at time zero, ``K x B``; ``rest_radius`` is a ``B`` tensor.
+
+    >>> import torch
+    >>> from imr_torch.material import material, memory_start
+    >>> rest, mu, tau, none = torch.tensor([[0.2], [0.1], [0.5], [0.0]], dtype=torch.float64)
+    >>> memory_start(material("maxwell").terms, rest, {"mu": mu, "tau": tau, "retardation": none}).tolist()
+    [[0.0]]
+    """
     parts = [term.memory_start(rest_radius, theta) for term in terms if term.states]
     return torch.cat(parts) if parts else rest_radius.new_zeros(0, *rest_radius.shape)
 
@@ -82,6 +107,13 @@ def gel_response(
     """Sum of ``terms``, and ``d memory/dt`` (``K x B``).
 
     All arguments dimensionless, ``B`` tensors but ``memory``, ``K x B``; see :class:`imr_torch.material.stress.StressTerm`.
+
+    >>> import torch
+    >>> from imr_torch.material import TERMS, gel_response
+    >>> one, still, rest, G, mu = torch.tensor([[1.0], [0.0], [0.2], [0.05], [0.1]], dtype=torch.float64)
+    >>> stress, memory_rates = gel_response(TERMS[:2], one, still, rest, {"G": G, "mu": mu})
+    >>> round(float(stress.value), 4), tuple(memory_rates.shape)  # no term remembers
+    (-0.105, (0, 1))
     """
     zero = torch.zeros_like(radius)
     total, rates = Stress(zero, zero, zero), []
@@ -100,7 +132,15 @@ def stress_integral(
     theta: Mapping[str, Tensor],
     memory: Tensor | None = None,
 ) -> Stress:
-    """Sum of ``terms``; arguments as in :func:`gel_response`."""
+    """Sum of ``terms``; arguments as in :func:`gel_response`.
+
+    >>> import torch
+    >>> from imr_torch.material import material, stress_integral
+    >>> one, still, rest, G, mu = torch.tensor([[1.0], [0.0], [0.2], [0.05], [0.1]], dtype=torch.float64)
+    >>> stress = stress_integral(material("nhkv").terms, one, still, rest, {"G": G, "mu": mu})
+    >>> round(float(stress.value), 4)
+    -0.105
+    """
     return gel_response(terms, radius, velocity, rest_radius, theta, memory)[0]
 
 
@@ -112,7 +152,16 @@ def memory_rate(
     theta: Mapping[str, Tensor],
     memory: Tensor,
 ) -> Tensor:
-    """``d memory/dt``, ``K x B``; arguments as in :func:`gel_response`."""
+    """``d memory/dt``, ``K x B``; arguments as in :func:`gel_response`.
+
+    >>> import torch
+    >>> from imr_torch.material import material, memory_rate
+    >>> one, still, mu, tau, memory = torch.tensor([[1.0], [0.0], [0.1], [0.5], [0.2]], dtype=torch.float64)
+    >>> theta = {"mu": mu, "tau": tau, "retardation": still}
+    >>> rate = memory_rate(material("maxwell").terms, one, still, one, theta, memory[None])
+    >>> round(float(rate), 2)  # -Z/De, the wall at rest
+    -0.4
+    """
     remembering = [term for term in terms if term.states]
     return gel_response(remembering, radius, velocity, rest_radius, theta, memory)[1]
 
@@ -129,6 +178,12 @@ def derivatives(function: Callable[..., Tensor], point: tuple[Tensor, ...], *, a
 
     Returns:
         ``k x ... x B`` tensor.
+
+    >>> import torch
+    >>> from imr_torch.material import derivatives
+    >>> x, y = torch.tensor([[1.0, 2.0], [3.0, 4.0]], dtype=torch.float64)
+    >>> derivatives(lambda x, y: x * y, (x, y), analytic=False).tolist()
+    [[3.0, 4.0], [1.0, 2.0]]
     """
     count = len(point)
     if analytic:

@@ -24,7 +24,14 @@ _FAR = 25.0  # standard deviations from which tails are computed by their asympt
 
 
 class Marginal(Protocol):
-    """A monotone map from ``z`` to a parameter and back; all methods act elementwise on any shape."""
+    """A monotone map from ``z`` to a parameter and back; all methods act elementwise on any shape.
+
+    >>> import torch
+    >>> from imr_torch.material import LogNormal, Marginal
+    >>> prior: Marginal = LogNormal(median=5e3, factor=2.0)
+    >>> prior.lower, round(float(prior.to_physical(torch.tensor(0.0))))
+    (0.0, 5000)
+    """
 
     @property
     def lower(self) -> float:
@@ -75,6 +82,12 @@ class TruncatedNormal:
         sd: its standard deviation, SI.
         lower: lower bound, SI (may be ``-inf``).
         upper: upper bound, SI (may be ``inf``).
+
+    >>> import torch
+    >>> from imr_torch.material import TruncatedNormal
+    >>> prior = TruncatedNormal(mean=0.0, sd=0.5, lower=0.0)
+    >>> [round(x, 3) for x in prior.to_physical(torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)).tolist()]
+    [0.1, 0.337, 0.705]
     """
 
     mean: float
@@ -144,6 +157,12 @@ class LogNormal:
     Args:
         median: median, SI.
         factor: the 68 % interval is ``median / factor`` to ``median * factor``.
+
+    >>> import torch
+    >>> from imr_torch.material import LogNormal
+    >>> prior = LogNormal(median=5e3, factor=2.0)
+    >>> [round(x) for x in prior.to_physical(torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)).tolist()]
+    [2500, 5000, 10000]
     """
 
     median: float
@@ -190,6 +209,12 @@ class Quantile:
     Args:
         family: name in ``scipy.stats``, such as ``"gamma"``.
         arguments: its shape parameters, ``loc`` and ``scale``, SI.
+
+    >>> import torch
+    >>> from imr_torch.material import Quantile
+    >>> prior = Quantile("gamma", {"a": 2.0, "scale": 1e3})
+    >>> [round(x) for x in prior.to_physical(torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)).tolist()]
+    [708, 1678, 3300]
     """
 
     family: str

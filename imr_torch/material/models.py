@@ -26,6 +26,11 @@ class Material:
         reference: where the model is defined.
         terms: the stress terms that add up to its stress integral.
         known: parameters that must be measured independently (quasi-statically) and are not inferred.
+
+    >>> from imr_torch.material import MATERIALS
+    >>> model = MATERIALS["nhkv"]
+    >>> model.title, model.free
+    ('NHKV', ('G', 'mu'))
     """
 
     key: str
@@ -186,7 +191,16 @@ MATERIALS: dict[str, Material] = {}
 
 
 def register(material: Material) -> Material:
-    """Add a model to the registry; its key must be new."""
+    """Add a model to the registry; its key must be new.
+
+    >>> from imr_torch.material import MATERIALS, Material, register
+    >>> class Elastic(Material):
+    ...     key, title, reference = "elastic", "Elastic", "this page"
+    ...     terms = MATERIALS["nhe"].terms
+    >>> register(Elastic()).free
+    ('G',)
+    >>> _ = MATERIALS.pop("elastic")  # undo it here
+    """
     if material.key in MATERIALS:
         raise InputDataError(f"A material of the key {material.key!r} is registered already: {MATERIALS[material.key]!r}.")
     MATERIALS[material.key] = material
@@ -220,6 +234,12 @@ def material(key: str) -> Material:
 
     Raises:
         InputDataError: for an unknown key or parameter; the message lists the known ones.
+
+    >>> from imr_torch.material import material
+    >>> material("nhkv").free
+    ('G', 'mu')
+    >>> material("nhkv+sound_speed").free  # a further parameter freed
+    ('G', 'mu', 'sound_speed')
     """
     base, *extra = key.split("+")
     if base not in MATERIALS:
@@ -233,7 +253,12 @@ def material(key: str) -> Material:
 
 
 def materials(keys: Sequence[str]) -> tuple[Material, ...]:
-    """The models of several keys, in that order."""
+    """The models of several keys, in that order.
+
+    >>> from imr_torch.material import materials
+    >>> [model.title for model in materials(["nhkv", "gen_qkv"])]
+    ['NHKV', 'Gen. qKV']
+    """
     return tuple(material(key) for key in keys)
 
 

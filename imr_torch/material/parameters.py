@@ -34,6 +34,10 @@ class Parameter:
         display_scale: factor from SI to ``display_unit``.
         display_unit: unit in which people quote it.
         prior: what is believed of it in a soft gel of which nothing is known, for models that infer it.
+
+    >>> from imr_torch.material import PARAMETERS
+    >>> PARAMETERS["mu"].meaning, PARAMETERS["mu"].unit, PARAMETERS["mu"].neutral
+    ('viscosity', 'Pa s', 0.0)
     """
 
     name: str
@@ -225,6 +229,13 @@ def dimensionless(parameters: Tensor, max_radius: Tensor, surroundings: Surround
     Returns:
         Name -> ``batch_shape`` tensor: moduli as ``1/Ca = G/p_inf``, viscosities as ``1/Re = mu U_c/(p_inf Rmax)``,
         times as ``De = tau U_c/Rmax`` (Estrada et al. 2018, section 2.3).
+
+    >>> import torch
+    >>> from imr_torch.material import PARAMETERS, dimensionless
+    >>> from imr_torch.units import Surroundings
+    >>> theta = dimensionless(PARAMETERS.pack({"G": 10132.5}), torch.tensor(200e-6), Surroundings())
+    >>> round(float(theta["G"]), 3)  # 1/Ca = G/p_inf
+    0.1
     """
     time = surroundings.time_scale(max_radius)
     pressure = surroundings.far_field_pressure

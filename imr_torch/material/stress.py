@@ -27,6 +27,13 @@ class Stress:
         value: ``batch_shape`` tensor, ``S`` over ``p_inf``.
         rate: ``batch_shape`` tensor, the part of ``dS/dt`` without ``dU/dt``.
         acceleration: ``batch_shape`` tensor, the factor of ``dU/dt``.
+
+    >>> import torch
+    >>> from imr_torch.material import Stress
+    >>> spring = Stress(torch.tensor(-0.1), torch.tensor(0.2), torch.tensor(0.0))
+    >>> damper = Stress(torch.tensor(0.3), torch.tensor(0.0), torch.tensor(-0.4))
+    >>> round(float((spring + damper).value), 3)
+    0.2
     """
 
     value: Tensor
@@ -60,6 +67,11 @@ class StressTerm:
         unbounded: ``unbounded(*parameters)``, on tensors: where the energy of the term has no lower bound, which excuses a
             solve that fails.
         names: parameters that the law reads, from its signature.
+
+    >>> from imr_torch.material import TERMS
+    >>> newtonian = TERMS[0]
+    >>> newtonian.name, newtonian.names, newtonian.states
+    ('newtonian', ('mu',), 0)
     """
 
     law: Law

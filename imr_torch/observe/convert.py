@@ -37,6 +37,15 @@ def to_experiment(
 
     Raises:
         InputDataError: if R_inf is neither in the record nor given, or not below Rmax.
+
+    >>> import torch
+    >>> from imr_torch.observe import RadiusTrace, find_landmarks, to_experiment
+    >>> from imr_torch.units import Surroundings
+    >>> time = torch.linspace(0.0, 60e-6, 61, dtype=torch.float64)
+    >>> trace = RadiusTrace("shot 1", time, 200e-6 * (0.55 + 0.45 * torch.cos(2e5 * time)), "example")
+    >>> experiment = to_experiment(trace, find_landmarks(trace), Surroundings(), rest_radius=(0.2, 0.02))
+    >>> round(experiment.design[0], 1), experiment.design[1]  # We and R_inf*
+    (180.9, 0.2)
     """
     top = landmarks.max_radius_m
     value, sd, remedy = _rest(trace, landmarks, rest_radius)

@@ -31,6 +31,14 @@ class Experiment:
         times: ``n_t`` tensor, dimensionless, from the maximum radius on.
         radius: ``n_repeats x n_t`` tensor, R/Rmax; NaN where a repeat lacks a frame that another has.
         nuisance: what is uncertain about the design and the clock.
+
+    >>> import torch
+    >>> from imr_torch.observe import Experiment
+    >>> times = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64)
+    >>> radius = torch.tensor([[1.0, 0.84, 0.31], [1.0, 0.86, float("nan")]], dtype=torch.float64)  # R/Rmax of two repeats
+    >>> experiment = Experiment("shot 1", (400.0, 0.22), times, radius)
+    >>> experiment.repeats, experiment.counts.tolist()
+    (2, [2, 2, 1])
     """
 
     label: str
@@ -100,6 +108,14 @@ class ExperimentBatch:
     Args:
         experiments: the experiments.
         noise: the law of their observation noise.
+
+    >>> import torch
+    >>> from imr_torch.observe import Experiment, ExperimentBatch
+    >>> times = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64)
+    >>> radius = torch.tensor([[1.0, 0.84, 0.31]], dtype=torch.float64)
+    >>> batch = ExperimentBatch((Experiment("shot 1", (400.0, 0.22), times, radius),))
+    >>> round(float(batch.log_likelihood(radius)), 2), round(float(batch.log_likelihood(radius - 0.02)), 2)
+    (12.38, -40.33)
     """
 
     experiments: tuple[Experiment, ...]
@@ -226,6 +242,16 @@ def predict(
 
     Returns:
         ``batch_shape x E x T`` tensor, R/Rmax with the measured Rmax; NaN rows where a solve failed, or shifts leave no bubble.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import Experiment, ExperimentBatch, predict
+    >>> times = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64)
+    >>> batch = ExperimentBatch((Experiment("shot 1", (400.0, 0.22), times, torch.ones(1, 3, dtype=torch.float64)),))
+    >>> seen = predict(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), batch)
+    >>> [round(x, 3) for x in seen[0].tolist()]
+    [1.0, 0.846, 0.418]
     """
     designs, times, factor = batch.designs, batch.times if times is None else times, None
     distortion = Distortion.of(parameters)

@@ -26,6 +26,15 @@ class SimulatedLaboratory:
         scatter: relative standard deviations of the achieved We and R_inf* about what was asked; the achieved values
             are measured and reported, with ``nuisance`` as their error.
         nuisance: errors of the measured design and clock.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=3)
+    >>> experiment = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
+    >>> experiment.label, tuple(experiment.radius.shape)  # repeats x frames
+    ('We 400, R_inf* 0.220', (3, 81))
     """
 
     simulator: Simulator

@@ -53,6 +53,13 @@ class Landmarks:
         rebound_radii_m: their radii.
         growth_samples: number of frames before the maximum radius.
         frame_noise_m: standard deviation of a frame, estimated from the record.
+
+    >>> import torch
+    >>> from imr_torch.observe import RadiusTrace, find_landmarks
+    >>> time = torch.linspace(0.0, 60e-6, 61, dtype=torch.float64)
+    >>> landmarks = find_landmarks(RadiusTrace("shot 1", time, 1e-4 * (1.1 + torch.cos(2e5 * time)), "example"))
+    >>> [round(float(1e6 * t), 1) for t in landmarks.collapse_times_s], landmarks.phase(20e-6)  # us
+    ([15.7, 47.1], 'first rebound')
     """
 
     max_radius_m: float
@@ -114,6 +121,14 @@ def find_landmarks(trace: RadiusTrace, *, tail_fraction: float = 0.15, settled_b
 
     Raises:
         InputDataError: if ``tail_fraction`` or ``settled_below`` is not between 0 and 1.
+
+    >>> import torch
+    >>> from imr_torch.observe import RadiusTrace, find_landmarks
+    >>> time = torch.linspace(-5e-6, 60e-6, 66, dtype=torch.float64)
+    >>> trace = RadiusTrace("shot 1", time, 1e-4 * (1.1 + torch.cos(2e5 * time)), "example")
+    >>> landmarks = find_landmarks(trace)
+    >>> round(1e6 * landmarks.max_radius_m, 1), landmarks.max_method  # um
+    (210.0, 'peak fit')
     """
     for name, value in (("tail_fraction", tail_fraction), ("settled_below", settled_below)):
         if not 0.0 < value < 1.0:

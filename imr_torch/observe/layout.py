@@ -45,6 +45,12 @@ class Layout:
 
     Raises:
         InputDataError: if a unit is unknown, a number is not positive, or a scale that the units need is missing.
+
+    >>> from imr_torch.observe import Layout
+    >>> Layout("R", radius_unit="um", time="t", time_unit="us").names()
+    ('R', 't')
+    >>> Layout.from_text("radius=R,radius_unit=px,pixel_size=2e-6,frame_interval=1e-6").pixel_size
+    2e-06
     """
 
     radius: str

@@ -34,6 +34,17 @@ def load_traces(*paths: str | Path, layout: Layout | None = None) -> TraceSet:
 
     Raises:
         InputDataError: if a file cannot be used; the message names file, place, value and remedy.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from imr_torch import load_traces
+    >>> rows = ["shot 1,0,2e-4", "shot 1,1e-6,1.9e-4", "shot 1,2e-6,1.7e-4", "shot 1,3e-6,1.4e-4", "shot 1,4e-6,1e-4"]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "gel.csv"
+    ...     _ = path.write_text(chr(10).join(["experiment_id,time_s,radius_m", *rows]))
+    ...     traces = load_traces(path)
+    >>> traces.ids, len(traces["shot 1"])
+    (('shot 1',), 5)
     """
     if not paths:
         raise InputDataError("load_traces was given no file; name at least one.")

@@ -29,6 +29,13 @@ class Noise:
         slope: part in proportion to ``|R* - 1|``.
         drift: part in proportion to ``t*``.
         correlation_time: e-folding time of an exponential correlation within a curve, in t*; 0 for independent frames.
+
+    >>> import torch
+    >>> from imr_torch.observe import Noise
+    >>> noise = Noise(scale=2.0)
+    >>> radius, times = torch.tensor([[1.0, 0.5], [0.0, 1.0]], dtype=torch.float64)  # R* and t*
+    >>> [round(sd, 4) for sd in noise.sd(radius, times).tolist()]
+    [0.004, 0.0327]
     """
 
     scale: float = 1.0
@@ -97,6 +104,15 @@ def fit_noise(
     Returns:
         The law with its ``scale``, ``floor`` and ``correlation_time`` replaced; as it was, where the fit left fewer than ten
         degrees of freedom, since so few residuals are as small as the fit likes.
+
+    >>> import torch
+    >>> from imr_torch.observe import Noise, fit_noise
+    >>> from imr_torch.random import generator
+    >>> radius, times = torch.full((900,), 0.5).double(), torch.linspace(0.1, 3.0, 900, dtype=torch.float64)
+    >>> error = 3.0 * Noise().sd(radius, times) * torch.randn(900, generator=generator(0), dtype=torch.float64)
+    >>> fitted = fit_noise(Noise(), [error], [radius], [times])
+    >>> round(fitted.scale, 1), fitted.correlation_time
+    (3.0, 0.0)
     """
     frames = sum(r.numel() for r in residuals)
     free = frames - fitted

@@ -24,6 +24,10 @@ class Nuisance:
         max_radius: relative, of Rmax.
         time_zero: of the time of the maximum, dimensionless (over ``Rmax/U_c``).
         rest_radius: relative, of R_inf.
+
+    >>> from imr_torch.observe import Nuisance
+    >>> Nuisance(max_radius=0.003, time_zero=0.004).sds().tolist()
+    [0.003, 0.004, 0.0]
     """
 
     max_radius: float = 0.0
@@ -50,6 +54,14 @@ def displaced(designs: Tensor, times: Tensor, shifts: Tensor) -> tuple[Tensor, T
 
     Returns:
         True designs, true times, and the factor (``... x 1``) from the true R* to the measured one.
+
+    >>> import torch
+    >>> from imr_torch.observe import displaced
+    >>> design, times = torch.tensor([400.0, 0.22], dtype=torch.float64), torch.tensor([0.0, 1.0], dtype=torch.float64)
+    >>> shift = torch.tensor([0.01, 0.0, 0.0], dtype=torch.float64)  # the true Rmax is 1 % larger
+    >>> true_design, true_times, factor = displaced(design, times, shift)
+    >>> [round(x, 3) for x in true_design.tolist()], round(float(factor), 2)
+    ([404.0, 0.218], 1.01)
     """
     scale = 1.0 + shifts[..., 0:1]
     weber = designs[..., 0:1] * scale

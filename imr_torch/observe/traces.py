@@ -33,6 +33,10 @@ class Given:
 
     Raises:
         InputDataError: if a number is not finite, or a radius is not positive.
+
+    >>> from imr_torch.observe import Given
+    >>> Given(max_radius_m=200e-6, rest_radius_m=40e-6).rest_radius_m
+    4e-05
     """
 
     max_radius_m: float | None = None
@@ -67,6 +71,12 @@ class RadiusTrace:
 
     Raises:
         InputDataError: if the trace cannot be one bubble in SI units; the message names experiment, field and sample.
+
+    >>> import torch
+    >>> from imr_torch.observe import RadiusTrace
+    >>> trace = RadiusTrace("shot 1", torch.tensor([0.0, 1e-6, 2e-6]), torch.tensor([2e-4, 1.9e-4, 1.7e-4]), "example")
+    >>> len(trace), trace.time_s.dtype
+    (3, torch.float64)
     """
 
     experiment_id: str
@@ -160,6 +170,11 @@ class LeftOut:
         experiment_id: the experiment the rows belong to ("" if to none).
         rows: row numbers counted from 1 (lines of a text file, samples of a MATLAB vector), such as ``"1-7, 12"``.
         reason: why they were left out.
+
+    >>> from imr_torch.observe import LeftOut
+    >>> lost = LeftOut("gel.csv", "shot 1", "4-6", "lost frames")
+    >>> lost.rows, lost.reason
+    ('4-6', 'lost frames')
     """
 
     file: str
@@ -190,6 +205,14 @@ class TraceSet:
 
     Raises:
         InputDataError: if two traces have the same id.
+
+    >>> import torch
+    >>> from imr_torch.observe import RadiusTrace, TraceSet
+    >>> trace = RadiusTrace("shot 1", torch.tensor([0.0, 1e-6, 2e-6]), torch.tensor([2e-4, 1.9e-4, 1.7e-4]), "example")
+    >>> print(TraceSet((trace,)).report())
+    1 curve(s):
+      shot 1: 3 frames over 2 us, largest radius 200 um
+    Nothing was left out.
     """
 
     traces: tuple[RadiusTrace, ...]

@@ -14,6 +14,12 @@ def collapse_time(times: Tensor, radius: Tensor, number: int) -> float:
         times: ``n_t`` tensor.
         radius: ``n_t`` tensor, any unit.
         number: which collapse.
+
+    >>> import torch
+    >>> from imr_torch.observe import collapse_time
+    >>> times = torch.linspace(0.0, 12.0, 121, dtype=torch.float64)
+    >>> [round(collapse_time(times, 1.1 + torch.cos(times), number), 1) for number in (1, 2, 3)]
+    [3.1, 9.4, inf]
     """
     depth = 0.1 * float(radius.amax() - radius.amin())
     low, high, falling, found = math.inf, float(radius[0]), True, 0

@@ -23,6 +23,11 @@ class Evidence:
         samples: importance samples.
         failed: samples whose solve failed; they count as data of probability 0.
         pareto_k: shape of the tail of the weights.
+
+    >>> from imr_torch.select import Evidence
+    >>> evidence = Evidence("nhkv", value=120.3, error=0.05, effective_samples=180.0, samples=256, failed=0, pareto_k=0.2)
+    >>> evidence.trusted
+    True
     """
 
     model: str
@@ -47,6 +52,20 @@ def log_evidence(fit: ModelFit) -> Evidence:
 
     Raises:
         InputDataError: if they have not.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import SearchOptions, assimilate, weigh
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> from imr_torch.select import log_evidence
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> weighed = weigh(fits, simulator, seed=0, samples=64)
+    >>> log_evidence(weighed["nhkv"]).model, log_evidence(weighed["nhkv"]).trusted
+    ('nhkv', True)
     """
     sample = fit.sample
     if sample is None:
@@ -63,5 +82,20 @@ def log_evidence(fit: ModelFit) -> Evidence:
 
 
 def evidences(assimilation: Assimilation) -> tuple[Evidence, ...]:
-    """Evidence of every model of a weighed assimilation; see :func:`log_evidence`."""
+    """Evidence of every model of a weighed assimilation; see :func:`log_evidence`.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import SearchOptions, assimilate, weigh
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> from imr_torch.select import evidences
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> nhkv, gen_qkv = evidences(weigh(fits, simulator, seed=0, samples=64))
+    >>> nhkv.value > gen_qkv.value  # the data are of NHKV
+    True
+    """
     return tuple(log_evidence(fit) for fit in assimilation.fits)

@@ -38,6 +38,11 @@ class PredictiveScore:
         error: its Monte Carlo standard error.
         pareto_k: shape of the tail of the weights that leave the experiments out (before a refit); the largest, of several.
         refitted: whether the fit was made again without them, once at least.
+
+    >>> from imr_torch.select import PredictiveScore
+    >>> score = PredictiveScore("nhkv", held_out=("shot 2",), value=101.2, error=0.1, pareto_k=0.3, refitted=False)
+    >>> score.held_out
+    ('shot 2',)
     """
 
     model: str
@@ -72,6 +77,20 @@ def predictive_density(
 
     Returns:
         Value and Monte Carlo standard error, nats.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import SearchOptions
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> from imr_torch.select import predictive_density
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
+    >>> options = SearchOptions(scouts=16, starts=2)
+    >>> value, error = predictive_density(case.prior, ExperimentBatch((shot,)), simulator, seed=0, samples=64, options=options)
+    >>> value > 100.0, error < 1.0  # nats
+    (True, True)
     """
     fitted = assimilate(belief, batch, simulator, seed=child(seed, "fit"), options=options)
     found = evidences(weigh(fitted, simulator, seed=child(seed, "weigh"), samples=samples))
@@ -82,7 +101,12 @@ def predictive_density(
 
 
 def default_folds(count: int) -> list[list[int]]:
-    """Which of ``count`` experiments are held out together: each alone up to five, else in four parts."""
+    """Which of ``count`` experiments are held out together: each alone up to five, else in four parts.
+
+    >>> from imr_torch.select import default_folds
+    >>> default_folds(3), default_folds(9)
+    ([[0], [1], [2]], [[0, 4, 8], [1, 5], [2, 6], [3, 7]])
+    """
     if count <= _ALONE:
         return [[i] for i in range(count)]
     return [list(range(start, count, _FOLDS)) for start in range(_FOLDS)]
@@ -114,6 +138,21 @@ def cross_validate(
 
     Raises:
         InputDataError: if the fits are not weighed, or a fold is empty or holds all experiments.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case, wide_prior
+    >>> from imr_torch.assimilate import SearchOptions, assimilate, weigh
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> from imr_torch.select import cross_validate
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> designs = torch.tensor([[400.0, 0.22], [600.0, 0.18]], dtype=torch.float64)
+    >>> batch = ExperimentBatch(tuple(laboratory.shoot(design, seed=1) for design in designs))
+    >>> fits = assimilate(wide_prior(["nhkv"]), batch, simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> scores = cross_validate(weigh(fits, simulator, seed=0, samples=64), simulator, seed=0, samples=64)
+    >>> [score.held_out for score in scores]
+    [('We 400, R_inf* 0.220',), ('We 600, R_inf* 0.180',)]
     """
     batch = assimilation.batch
     count = len(batch.experiments)
@@ -139,7 +178,15 @@ def cross_validate(
 
 
 def sum_over_folds(scores: Sequence[PredictiveScore]) -> tuple[PredictiveScore, ...]:
-    """The score of each model over all folds, in the order of the models."""
+    """The score of each model over all folds, in the order of the models.
+
+    >>> from imr_torch.select import PredictiveScore, sum_over_folds
+    >>> first = PredictiveScore("nhkv", ("shot 1",), value=100.0, error=0.3, pareto_k=0.2, refitted=False)
+    >>> second = PredictiveScore("nhkv", ("shot 2",), value=90.0, error=0.4, pareto_k=0.1, refitted=False)
+    >>> (total,) = sum_over_folds([first, second])
+    >>> total.value, total.error
+    (190.0, 0.5)
+    """
     total: dict[str, PredictiveScore] = {}
     for score in scores:
         so_far = total.get(score.model)

@@ -19,6 +19,20 @@ def update(assimilation: Assimilation, evidence: Sequence[Evidence]) -> Belief:
 
     Raises:
         InputDataError: if models and evidences do not match.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import SearchOptions, assimilate, weigh
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> from imr_torch.select import evidences, update
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> weighed = weigh(fits, simulator, seed=0, samples=64)
+    >>> update(weighed, evidences(weighed)).best.model
+    'nhkv'
     """
     _check(assimilation.prior, evidence)
     logs = assimilation.prior.log_probabilities + torch.tensor([e.value for e in evidence], dtype=torch.float64)
@@ -40,6 +54,14 @@ def probability_errors(prior: Belief, evidence: Sequence[Evidence]) -> dict[str,
 
     Raises:
         InputDataError: if models and evidences do not match.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.select import Evidence, probability_errors
+    >>> prior = wide_prior(["newtonian", "nhkv"])
+    >>> first = Evidence("newtonian", 10.0, 0.1, 200.0, 256, 0, 0.1)
+    >>> second = Evidence("nhkv", 11.0, 0.1, 200.0, 256, 0, 0.1)
+    >>> {model: round(error, 3) for model, error in probability_errors(prior, [first, second]).items()}
+    {'newtonian': 0.028, 'nhkv': 0.028}
     """
     _check(prior, evidence)
     values = torch.tensor([(e.value, e.error) for e in evidence], dtype=torch.float64)

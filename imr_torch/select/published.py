@@ -25,6 +25,20 @@ def published_probabilities(fits: Sequence[PublishedFit], experiment: Experiment
 
     Returns:
         ``M`` tensor.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import PublishedOptions, assimilate_published
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import Noise, SimulatedLaboratory
+    >>> from imr_torch.select import published_probabilities
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
+    >>> options = PublishedOptions(members=16, cycles=1)
+    >>> fits = assimilate_published(case.prior, shot, Noise(), simulator, seed=0, options=options)
+    >>> round(float(published_probabilities(fits, shot, Noise()).sum()), 6)
+    1.0
     """
     batch = ExperimentBatch((as_one_curve(experiment),), noise)
     sd = batch.sd(batch.mean)[0]

@@ -33,6 +33,11 @@ class PolytropicGas:
         vapour: whether the bubble holds vapour at its saturation pressure.
 
     A subclass may put another law of the same arguments in place of :func:`imr_torch.simulate.gas.polytropic`.
+
+    >>> from imr_torch.simulate import Conditions, PolytropicGas, PolytropicSimulator
+    >>> simulator = PolytropicSimulator(Conditions(gas=PolytropicGas(exponent=1.0, vapour=False)))
+    >>> simulator.conditions.gas.exponent
+    1.0
     """
 
     law: ClassVar[Law] = staticmethod(polytropic)
@@ -58,6 +63,11 @@ class Stepping:
         step: step of the stretched time. Errors fall with its fourth power.
         max_steps: steps after which a member that has not reached its last time is given up.
         retries: how often a member that failed for another reason is tried again with half the step.
+
+    >>> from imr_torch.simulate import PolytropicSimulator, Stepping
+    >>> quick = PolytropicSimulator(stepping=Stepping(0.25))
+    >>> quick.stepping.max_steps
+    4000
     """
 
     step: float = 0.15
@@ -92,6 +102,11 @@ class GasMixture:
         vapour: ``"transported"``: in equilibrium at the wall, diffusing inside. ``"constant"``: its saturation
             pressure at the far temperature is added to the pressure of dry air. ``"frozen"``: saturated at the start and
             trapped, so that it is compressed with the air. ``"absent"``: dry air.
+
+    >>> from imr_torch.simulate import Conditions, GasMixture, TransportSimulator
+    >>> dry = TransportSimulator(Conditions(mixture=GasMixture(vapour="absent")))
+    >>> dry.conditions.mixture.vapour
+    'absent'
     """
 
     heat_ratio: float = 1.4
@@ -124,6 +139,11 @@ class Medium:
             temperature.
         capacity_of: ``"medium"``: ``heat_capacity``. ``"gas_wall"``: the number ``k/(k-1) R_mix* `` of the gas at the
             wall, read as J/(kg K), as the published code does; for parity with it only.
+
+    >>> from imr_torch.simulate import Conditions, Medium, TransportSimulator
+    >>> cold = TransportSimulator(Conditions(medium=Medium(warm=False)))
+    >>> cold.conditions.medium.warm
+    False
     """
 
     conductivity: float = 0.55
@@ -159,6 +179,11 @@ class Conditions:
         initial_velocity: of the wall at time zero, m/s; 0 at the maximum radius.
         stress_acceleration: whether the part of ``dS/dt`` that is proportional to ``dU/dt`` acts in the radial equation.
             The published code leaves it out; for parity with it only.
+
+    >>> from imr_torch.simulate import Conditions, PolytropicGas, PolytropicSimulator
+    >>> conditions = Conditions(gas=PolytropicGas(exponent=1.4))
+    >>> PolytropicSimulator(conditions).conditions.gas.exponent
+    1.4
     """
 
     surroundings: Surroundings = field(default_factory=Surroundings)
@@ -199,6 +224,10 @@ def preset(key: str) -> Conditions:
 
     Raises:
         InputDataError: for an unknown name; the message lists the known ones.
+
+    >>> from imr_torch.simulate import preset
+    >>> preset("authors_code").stress_acceleration
+    False
     """
     if key not in PRESETS:
         raise InputDataError(f"Unknown preset {key!r}; known are {', '.join(PRESETS)}.")

@@ -23,6 +23,12 @@ class Driving(Protocol):
     """Anything that gives ``p_ac`` (Pa) and its first two time derivatives (Pa/s, Pa/s^2) at times in seconds.
 
     The compiled engine takes a :class:`LawDriving`; any other one is evaluated on tensors.
+
+    >>> import torch
+    >>> from imr_torch.simulate import Driving, SineDriving
+    >>> driving: Driving = SineDriving(amplitude=1e4, frequency=50e3)
+    >>> [round(float(x)) for x in driving(torch.tensor(0.0, dtype=torch.float64))][:2]  # Pa and Pa/s
+    [0, 3141592654]
     """
 
     def __call__(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -63,6 +69,11 @@ class LawDriving:
     Attributes:
         law: gives ``p_ac`` and its first two derivatives, SI.
         values: its numbers; ``knots`` and ``cubics`` a table, one interval of zeros where it needs none.
+
+    >>> from imr_torch.simulate import GaussianPulse, LawDriving
+    >>> pulse = GaussianPulse(-2e4, 30e-6, 5e-6)
+    >>> isinstance(pulse, LawDriving), pulse.values
+    (True, (-20000.0, 3e-05, 5e-06))
     """
 
     law: ClassVar[Law]
@@ -99,6 +110,11 @@ class SineDriving(LawDriving):
         amplitude: Pa.
         frequency: Hz.
         phase: radians.
+
+    >>> from imr_torch.simulate import Conditions, PolytropicSimulator, SineDriving
+    >>> driven = PolytropicSimulator(Conditions(driving=SineDriving(amplitude=1e4, frequency=50e3)))
+    >>> driven.conditions.driving.frequency
+    50000.0
     """
 
     amplitude: float
@@ -124,6 +140,12 @@ class GaussianPulse(LawDriving):
         amplitude: Pa; negative for a pulse of tension.
         centre: s.
         width: s.
+
+    >>> import torch
+    >>> from imr_torch.simulate import GaussianPulse
+    >>> pulse = GaussianPulse(amplitude=-2e4, centre=30e-6, width=5e-6)
+    >>> [round(x) for x in pulse(torch.tensor([0.0, 30e-6]).double())[0].tolist()]  # Pa
+    [0, -20000]
     """
 
     amplitude: float
@@ -148,6 +170,12 @@ class TabulatedDriving(LawDriving):
     Args:
         times: s, increasing, at least three; the spline ends with zero slope, so that it joins the constants smoothly.
         pressures: Pa, as many.
+
+    >>> import torch
+    >>> from imr_torch.simulate import TabulatedDriving
+    >>> measured = TabulatedDriving(times=(0.0, 10e-6, 20e-6), pressures=(0.0, 1e4, 0.0))
+    >>> round(float(measured(torch.tensor(10e-6).double())[0]))  # Pa
+    10000
     """
 
     times: tuple[float, ...]

@@ -51,6 +51,11 @@ class Resolution:
         kind: ``"spectral"``; ``"finite_difference"``: of second order with the same crowding at the wall, where nodes
             count the wall, the centre and infinity; ``"authors"``: the uniform second-order grid of the published code
             (the same count; ``stretch`` is ignored and ``reach`` is its 2).
+
+    >>> from imr_torch.simulate import Accuracy, Resolution, TransportSimulator
+    >>> fine = TransportSimulator(accuracy=Accuracy(1e-5, Resolution(inside=24, outside=24)))
+    >>> [len(grid) for grid in fine.accuracy.resolution.grids()]
+    [24, 24]
     """
 
     inside: int = 18

@@ -43,6 +43,10 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
 
     Raises:
         InputDataError: if there are none.
+
+    >>> from imr_torch.simulate import process_pool
+    >>> pool = process_pool(2)  # processes start with the first task
+    >>> pool.shutdown()
     """
     if workers < 1:
         raise InputDataError(f"process_pool: workers is {workers}; expected at least 1.")
@@ -68,6 +72,16 @@ class ParallelSimulator:
 
     Raises:
         InputDataError: if ``chunk`` is not positive, or ``retries`` negative.
+
+    >>> from concurrent.futures import ThreadPoolExecutor
+    >>> import torch
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.simulate import ParallelSimulator, PolytropicSimulator
+    >>> gels, design = PARAMETERS.neutral(6), torch.tensor([400.0, 0.22])
+    >>> with ThreadPoolExecutor(1) as executor:
+    ...     parallel = ParallelSimulator(PolytropicSimulator(), executor, chunk=3)
+    ...     parallel(gels, design, torch.tensor([0.5])).radius.shape
+    torch.Size([6, 1])
     """
 
     def __init__(

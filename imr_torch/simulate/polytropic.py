@@ -35,6 +35,14 @@ class PolytropicSimulator:
         terms: stress terms to choose from; all registered ones by default.
         engine: ``"compiled"`` or ``"torchdiffeq"``, see :mod:`imr_torch.simulate.engines`; the answers agree to rounding.
         threads: processor threads of the compiled engine, all cores by default; the answer is the same bit for bit.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.material import PARAMETERS
+    >>> gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
+    >>> design, times = torch.tensor([400.0, 0.22]), torch.linspace(0.0, 1.5, 4)  # (We, R_inf*), t*
+    >>> [round(x, 3) for x in PolytropicSimulator()(gel, design, times).radius.tolist()]
+    [1.0, 0.846, 0.418, 0.647]
     """
 
     conditions: Conditions = field(default_factory=Conditions)

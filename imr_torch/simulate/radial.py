@@ -137,7 +137,12 @@ def gilmore(
 
 @dataclass(frozen=True)
 class RadialEquation:
-    """One member of the family; a subclass names its law and has the liquid's constants as fields, in the law's order."""
+    """One member of the family; a subclass names its law and has the liquid's constants as fields, in the law's order.
+
+    >>> from imr_torch.simulate import RADIAL_EQUATIONS
+    >>> list(RADIAL_EQUATIONS)
+    ['rayleigh_plesset', 'keller_miksis', 'keller_miksis_enthalpy', 'gilmore']
+    """
 
     key: ClassVar[str]
     law: ClassVar[Law]
@@ -154,7 +159,12 @@ class RadialEquation:
 
 @dataclass(frozen=True)
 class RayleighPlesset(RadialEquation):
-    """An incompressible liquid: the speed of sound plays no part."""
+    """An incompressible liquid: the speed of sound plays no part.
+
+    >>> from imr_torch.simulate import Conditions, PolytropicSimulator, RayleighPlesset
+    >>> PolytropicSimulator(Conditions(motion=RayleighPlesset())).conditions.motion.key
+    'rayleigh_plesset'
+    """
 
     key = "rayleigh_plesset"
     law = staticmethod(rayleigh_plesset)
@@ -162,7 +172,12 @@ class RayleighPlesset(RadialEquation):
 
 @dataclass(frozen=True)
 class KellerMiksis(RadialEquation):
-    """Compressible to first order in the Mach number, in pressure: the default."""
+    """Compressible to first order in the Mach number, in pressure: the default.
+
+    >>> from imr_torch.simulate import Conditions, KellerMiksis
+    >>> Conditions().motion == KellerMiksis()
+    True
+    """
 
     key = "keller_miksis"
     law = staticmethod(keller_miksis)
@@ -175,6 +190,10 @@ class KellerMiksisEnthalpy(RadialEquation):
     Args:
         exponent: ``n`` of ``(p + B)/(p_inf + B) = (rho/rho_inf)^n``.
         stiffness: ``B`` over ``p_inf``.
+
+    >>> from imr_torch.simulate import KellerMiksisEnthalpy
+    >>> KellerMiksisEnthalpy(exponent=7.0).exponent
+    7.0
     """
 
     exponent: float = 7.15
@@ -193,7 +212,12 @@ class KellerMiksisEnthalpy(RadialEquation):
 
 @dataclass(frozen=True)
 class Gilmore(KellerMiksisEnthalpy):
-    """The enthalpy form with the sound speed of the Tait liquid at the wall, scaled to ``c`` of the undisturbed liquid."""
+    """The enthalpy form with the sound speed of the Tait liquid at the wall, scaled to ``c`` of the undisturbed liquid.
+
+    >>> from imr_torch.simulate import Conditions, Gilmore, PolytropicSimulator
+    >>> PolytropicSimulator(Conditions(motion=Gilmore())).conditions.motion.key
+    'gilmore'
+    """
 
     key = "gilmore"
     law = staticmethod(gilmore)

@@ -63,6 +63,14 @@ class ScipySimulator:
         rtol: relative error of a step.
         atol: absolute error of a step; everything in the state is of order one.
         terms: stress terms to choose from; all registered ones by default.
+
+    >>> import torch
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.simulate import ScipySimulator
+    >>> gel, design = PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), torch.tensor([400.0, 0.22])
+    >>> bubble = ScipySimulator(physics="polytropic")(gel, design, torch.tensor([0.0, 0.5]))
+    >>> [round(x, 3) for x in bubble.radius.tolist()]
+    [1.0, 0.846]
     """
 
     conditions: Conditions = field(default_factory=Conditions)

@@ -53,6 +53,14 @@ def sensitivities(
     Raises:
         ShapeError: if shapes do not fit.
         InputDataError: for an unknown name, and as the simulator does.
+
+    >>> import torch
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.simulate import PolytropicSimulator, sensitivities
+    >>> gel, design = PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), torch.tensor([400.0, 0.22])
+    >>> solution, slopes = sensitivities(PolytropicSimulator(), gel, design, torch.tensor([0.0, 0.9]), names=["G", "mu"])
+    >>> [round(x, 3) for x in (slopes[-1] * gel[PARAMETERS.index(["G", "mu"])]).tolist()]  # dR*/dlnG and dR*/dlnmu
+    [0.444, -0.136]
     """
     names = (*PARAMETERS.names, *DESIGN) if names is None else tuple(names)
     columns = [_column(name) for name in names]

@@ -22,7 +22,14 @@ EARLIEST = -0.5
 
 
 class Status(IntEnum):
-    """How the solve of one bubble ended."""
+    """How the solve of one bubble ended.
+
+    >>> from imr_torch.simulate import Status
+    >>> Status(1).name
+    'TOO_MANY_STEPS'
+    >>> Status.DONE.advice
+    'The solve reached its last time.'
+    """
 
     DONE = 0
     TOO_MANY_STEPS = 1
@@ -65,6 +72,14 @@ class Solution:
         bubble_pressure: ``batch_shape x n_t`` tensor, over ``p_inf``.
         status: ``batch_shape`` integer tensor of :class:`Status` values.
         steps: ``batch_shape`` integer tensor, steps taken.
+
+    >>> import torch
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> gels, design = PARAMETERS.pack({"mu": torch.tensor([0.05, 0.1]).double()}), torch.tensor([400.0, 0.22])
+    >>> solution = PolytropicSimulator()(gels, design, torch.linspace(0.0, 2.0, 5))
+    >>> solution.radius.shape, solution.ok.tolist()
+    (torch.Size([2, 5]), [True, True])
     """
 
     times: Tensor
@@ -86,7 +101,13 @@ class Solution:
 
 
 class Simulator(Protocol):
-    """Anything that turns gels and designs into bubbles."""
+    """Anything that turns gels and designs into bubbles.
+
+    >>> from imr_torch.simulate import PolytropicSimulator, Simulator
+    >>> simulator: Simulator = PolytropicSimulator()
+    >>> simulator.conditions.surroundings.far_field_pressure
+    101325.0
+    """
 
     @property
     def conditions(self) -> Conditions:
@@ -134,6 +155,16 @@ def solve_bundles(solve: Callable[..., tuple[Tensor, ...]], size: int, arguments
 
     Raises:
         ShapeError: also if there is no batch dimension.
+
+    >>> import torch
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.simulate import solve_bundles
+    >>> def still(parameters, designs, times, width):
+    ...     one, count = torch.ones_like(times), len(times)
+    ...     return one, 0 * one, one, torch.zeros(count), torch.zeros(count)
+    >>> arguments = PARAMETERS.neutral(3, 2), torch.tensor([400.0, 0.22]), torch.linspace(0.0, 2.0, 5)
+    >>> solve_bundles(still, 100, arguments).radius.shape  # 3 bundles of 2 members
+    torch.Size([3, 2, 5])
     """
     shape = broadcast_batch(*arguments)[0]
     if not shape:
@@ -147,6 +178,14 @@ def broadcast_batch(parameters: Tensor, designs: Tensor, times: Tensor) -> tuple
 
     Raises:
         ShapeError: if a last dimension or a batch shape does not fit.
+
+    >>> import torch
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.simulate import broadcast_batch
+    >>> gels, design, times = PARAMETERS.neutral(3), torch.tensor([400.0, 0.22]), torch.linspace(0.0, 2.0, 5)
+    >>> shape, *flat = broadcast_batch(gels, design, times)
+    >>> tuple(shape), [tuple(x.shape) for x in flat][1:]
+    ((3,), [(3, 2), (3, 5)])
     """
     if parameters.shape[-1:] != (len(PARAMETERS),):
         raise ShapeError(
@@ -169,7 +208,15 @@ def broadcast_batch(parameters: Tensor, designs: Tensor, times: Tensor) -> tuple
 
 
 def check_times(times: Tensor) -> None:
-    """Raise :class:`InputDataError` unless the rows of ``times`` (``B x n_t``) are finite, increasing and not early."""
+    """Raise :class:`InputDataError` unless the rows of ``times`` (``B x n_t``) are finite, increasing and not early.
+
+    >>> import torch
+    >>> from imr_torch.simulate import check_times
+    >>> check_times(torch.tensor([[0.0, 0.2, 0.1]]))
+    Traceback (most recent call last):
+        ...
+    imr_torch.errors.InputDataError: times of batch member 0 do not increase; sort them and drop repeated ones.
+    """
     if not bool(torch.isfinite(times).all()):
         raise InputDataError("times holds a value that is not finite; leave missing frames out or mask them.")
     if bool((times[:, 1:] <= times[:, :-1]).any()):
@@ -183,7 +230,15 @@ def check_times(times: Tensor) -> None:
 
 
 def check_designs(designs: Tensor) -> None:
-    """Raise :class:`InputDataError` unless every design has ``We > 0`` and ``0 < R_inf* < 1``."""
+    """Raise :class:`InputDataError` unless every design has ``We > 0`` and ``0 < R_inf* < 1``.
+
+    >>> import torch
+    >>> from imr_torch.simulate import check_designs
+    >>> check_designs(torch.tensor([[400.0, 1.22]]))
+    Traceback (most recent call last):
+        ...
+    imr_torch.errors.InputDataError: Design (We, R_inf*) = (400, 1.22): expected We > 0 and 0 < R_inf* < 1 ...
+    """
     weber, rest = designs[..., 0], designs[..., 1]
     bad = ~(torch.isfinite(weber) & (weber > 0.0) & (rest > 0.0) & (rest < 1.0))
     if bool(bad.any()):
@@ -212,6 +267,16 @@ def solve_batch(
     Raises:
         ShapeError: if shapes do not fit.
         InputDataError: if a design is impossible, or times are not increasing and finite.
+
+    >>> import torch
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.simulate import solve_batch
+    >>> def still(parameters, designs, times):  # a solver whose bubbles stay at R* = 1
+    ...     one, count = torch.ones_like(times), len(times)
+    ...     return one, 0 * one, one, torch.zeros(count), torch.zeros(count)
+    >>> arguments = PARAMETERS.neutral(3), torch.tensor([400.0, 0.22]), torch.linspace(0.0, 2.0, 5)
+    >>> solve_batch(still, 100, arguments).radius.shape
+    torch.Size([3, 5])
     """
     shape, parameters, designs, times = broadcast_batch(*arguments)
     check_designs(designs)

@@ -38,6 +38,11 @@ class Accuracy:
         tolerance: relative error of a step.
         resolution: grids inside and outside the bubble.
         max_steps: attempted steps after which a member is given up.
+
+    >>> from imr_torch.simulate import ACCURACIES, TransportSimulator
+    >>> simulator = TransportSimulator(accuracy=ACCURACIES["fast"])
+    >>> simulator.accuracy.tolerance
+    0.001
     """
 
     tolerance: float = 3e-4
@@ -73,6 +78,14 @@ class TransportSimulator:
         terms: stress terms to choose from; all registered ones by default.
         engine: ``"compiled"`` or ``"torchdiffeq"``, see :mod:`imr_torch.simulate.engines`; the answers agree to rounding.
         threads: processor threads of the compiled engine, all cores by default; the answer is the same bit for bit.
+
+    >>> import torch
+    >>> from imr_torch import TransportSimulator
+    >>> from imr_torch.material import PARAMETERS
+    >>> gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
+    >>> design, times = torch.tensor([400.0, 0.22]), torch.linspace(0.0, 1.5, 4)
+    >>> [round(x, 3) for x in TransportSimulator()(gel, design, times).radius.tolist()]
+    [1.0, 0.846, 0.419, 0.673]
     """
 
     conditions: Conditions = field(default_factory=Conditions)

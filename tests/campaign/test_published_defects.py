@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from imr_torch.assimilate import PublishedOptions, SearchOptions
-from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Harvest, PaperLearner
+from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Observations, PaperLearner
 from imr_torch.design import (
     STRATEGIES,
     DesignOptimizer,
@@ -33,7 +33,7 @@ TWO = ("newtonian", "nhkv")
 def learn(learner, batch: ExperimentBatch, models: tuple[str, ...] = TWO) -> Belief:
     """What is believed after all experiments of a batch."""
     belief = prior(models)
-    return learner.learn(Harvest(belief, belief, batch, len(batch.experiments), 0), SIMULATOR).belief
+    return learner.learn(Observations(belief, belief, batch, len(batch.experiments), 0), SIMULATOR).belief
 
 
 def shot(repeats: int = 1, noise: Noise = NOISE, design: tuple[float, float] = (300.0, 0.2), seed: int = 0) -> ExperimentBatch:

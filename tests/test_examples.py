@@ -1,0 +1,74 @@
+"""The examples in docstrings run and print what they say, and every public object has one."""
+
+import doctest
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Iterator
+from types import ModuleType
+
+import pytest
+import torch
+
+import imr_torch
+
+STAGES = ("material", "simulate", "observe", "assimilate", "select", "campaign", "calibration", "gap", "export")
+PUBLIC = ("imr_torch", *(f"imr_torch.{name}" for name in (*STAGES, "units", "files", "random")))
+WITHOUT = ("imr_torch.design", "imr_torch.campaign.policies")  # modules whose objects need no example here
+NEEDS = {"imr_torch.export.arviz": ("xarray", "arviz_base", "h5netcdf"), "imr_torch.assimilate.nuts": ("pyro",)}
+OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+def modules() -> Iterator[ModuleType]:
+    yield imr_torch
+    for found in pkgutil.walk_packages(imr_torch.__path__, "imr_torch."):
+        if not found.name.endswith("__main__"):
+            yield importlib.import_module(found.name)
+
+
+def examples() -> list[doctest.DocTest]:
+    """One test per docstring with an example; its globals are empty, so an example imports all that it uses."""
+    finder = doctest.DocTestFinder(exclude_empty=True)
+    return [test for module in modules() for test in finder.find(module, globs={}) if test.examples]
+
+
+def public_objects() -> dict[str, object]:
+    """Name -> class or function that a package exports, wherever it is defined; type aliases and data are left out."""
+    found = {}
+    for package in map(importlib.import_module, PUBLIC):
+        own = [name for name, value in vars(package).items() if getattr(value, "__module__", "") == package.__name__]
+        for name in getattr(package, "__all__", [name for name in own if not name.startswith("_")]):
+            value = getattr(package, name)
+            if (inspect.isclass(value) or inspect.isfunction(value)) and not value.__module__.startswith(WITHOUT):
+                found[f"{value.__module__}.{value.__qualname__}"] = value
+    return found
+
+
+@pytest.mark.parametrize("example", examples(), ids=lambda example: example.name)
+def test_that_the_example_prints_what_it_says(example: doctest.DocTest) -> None:
+    for module, needed in NEEDS.items():
+        if example.name.startswith(module):
+            for name in needed:
+                pytest.importorskip(name)
+    said: list[str] = []
+    with torch.random.fork_rng(devices=[]):
+        failed = doctest.DocTestRunner(optionflags=OPTIONS, verbose=False).run(example, out=said.append).failed
+    assert failed == 0, "".join(said)
+
+
+@pytest.mark.parametrize("name", public_objects())
+def test_that_the_public_object_has_an_example(name: str) -> None:
+    assert ">>>" in (inspect.getdoc(public_objects()[name]) or "")
+
+
+def test_that_an_example_which_prints_something_else_fails() -> None:
+    wrong = doctest.DocTestParser().get_doctest(">>> 1 + 1\n3\n", {}, "wrong", None, None)
+    assert doctest.DocTestRunner(verbose=False).run(wrong, out=lambda _: None).failed == 1
+
+
+def test_that_the_public_objects_are_looked_at() -> None:
+    names = public_objects()
+    assert len(names) > 150
+    assert {"imr_torch.characterize.characterize", "imr_torch.units.Surroundings", "imr_torch.gap.diagnose.diagnose"} <= set(
+        names
+    )
