@@ -1,8 +1,8 @@
-"""Files in, properties out: what the curves of one gel say about its parameters and its constitutive model.
+"""Inference of the parameters of one gel and of the probability of each constitutive model from measured R(t) curves.
 
 All curves are fitted together, each with its own Rmax, time zero and R_inf as nuisances. The noise is first the published
 law; then its scale, constant part and correlation time are estimated from the residuals of the best model and the fit
-repeated, so that a model that misses the data pays with wider intervals instead of false precision.
+repeated, so that a model that misses the data gets wider intervals.
 """
 
 import time
@@ -46,7 +46,7 @@ _CURVES_LISTED = 10
 
 @dataclass(frozen=True)
 class Characterization:
-    """What a set of curves says about a gel.
+    """Parameters, model probabilities and fits inferred from curves of one gel.
 
     Args:
         experiments: the dimensionless curves that were fitted, cut to the window.
@@ -117,7 +117,7 @@ class Characterization:
         }
 
     def report(self) -> str:
-        """The result as a table in plain words."""
+        """The result as text: a table per model, with its certificate."""
         lines = [f"{len(self.experiments)} curve(s); noise {self.noise}"]
         order = sorted(self.assimilation.fits, key=lambda f: -self.posterior.probabilities[f.model])
         errors = probability_errors(self.assimilation.prior, self.evidence)
@@ -137,9 +137,7 @@ class Characterization:
             lines += [f"  {label}: {value:.4f}" for label, value in worst[:_CURVES_LISTED]]
         if self.scores:
             best = max(self.scores, key=lambda score: score.value)
-            lines.append(
-                f"\nCurves foretold by the others (log density less that of {best.model}, nats, +- Monte Carlo error):"
-            )
+            lines.append(f"\nHeld-out curves predicted from the others (log density relative to {best.model}, nats, +- error):")
             lines += [
                 f"  {score.model}: {score.value - best.value:.1f} +- {score.error:.1f}"
                 for score in sorted(self.scores, key=lambda score: -score.value)
@@ -211,13 +209,13 @@ def characterize(
         rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
         options: how gels are fitted, and by which method: :class:`imr_torch.assimilate.SearchOptions` or
             :class:`imr_torch.assimilate.En4DVarOptions`.
-        scores: whether each model also foretells curves from the others (each alone up to five, more in four parts), with the
+        scores: whether the prediction of held-out curves is scored too (each alone up to five, more in four parts), with the
             noise that was estimated from all.
         seed: of everything random.
         progress: called with one line per step.
 
     Raises:
-        InputDataError: as in :func:`prepare`, if there is no trace, or one alone is to be foretold by others.
+        InputDataError: as in :func:`prepare`, if there is no trace, or scores are asked for and there is only one.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior

@@ -170,7 +170,7 @@ def _compiled_quadrature(sum_: Quadrature, fields: tuple[str, ...]) -> Any:
 
 
 def code_of(function: Law) -> Iterator[bytes]:
-    """Everything that the meaning of a function hangs on: its code and constants, and those of all that it calls.
+    """Everything that the meaning of a function depends on: its code and constants, and those of all that it calls.
 
     Docstrings, comments and whatever the function does not use are left out.
     """
@@ -190,7 +190,7 @@ def _code_of(function: Law, seen: set[Any]) -> Iterator[bytes]:
 
 
 def _value_of(value: Any, seen: set[Any]) -> Iterator[bytes]:
-    """The part of a global that a function's meaning hangs on."""
+    """The part of a global that a function's meaning depends on."""
     if isinstance(value, Quadrature):
         yield from (x.numpy().tobytes() for x in value.rule)
         yield from _code_of(value.integrand, seen)

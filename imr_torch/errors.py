@@ -1,4 +1,4 @@
-"""The errors and warnings of the toolkit: one root of each, named leaves below it.
+"""The errors and warnings of the toolkit: one root class of each, and its subclasses.
 
 A message says what was expected, what came, and what to do next. A bubble whose solve fails is *not* an error:
 it is a :class:`imr_torch.simulate.Status` on that member, and the rest of the batch goes on.
@@ -22,7 +22,7 @@ class UnsupportedError(ImrError, NotImplementedError):
 
 
 class ConvergenceError(ImrError, RuntimeError):
-    """A computation that everything after it rests on did not converge."""
+    """A computation whose result later steps need did not converge."""
 
 
 class ImrWarning(UserWarning):
@@ -34,7 +34,7 @@ class InputDataWarning(ImrWarning):
 
 
 class ConvergenceWarning(ImrWarning):
-    """A result carries a certificate that says not to lean on it."""
+    """A fit did not converge, as its certificate says."""
 
 
 class PrecisionWarning(ImrWarning):
@@ -42,4 +42,4 @@ class PrecisionWarning(ImrWarning):
 
 
 class EngineWarning(ImrWarning):
-    """Another engine computed a result than the one that was asked for; the answer is the same, and came slower."""
+    """The engine asked for could not be used; another one gave the same result, more slowly."""

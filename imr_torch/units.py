@@ -1,4 +1,4 @@
-"""SI to dimensionless numbers and back: the only place where the two meet.
+"""Conversion between SI and dimensionless quantities; no other module converts.
 
 Dimensionless quantities follow Estrada et al. (J. Mech. Phys. Solids 112, 2018): length ``Rmax``, pressure ``p_inf``,
 velocity ``U_c = sqrt(p_inf / rho)``, time ``Rmax / U_c``. The Weber number ``We = p_inf Rmax / (2 gamma)`` therefore

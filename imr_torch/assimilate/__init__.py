@@ -1,4 +1,4 @@
-"""Stage 4, what we learn: from experiments to a Gaussian for each model's parameters, with a certificate."""
+"""Stage 4, inference: from experiments to the posterior of each model's parameters, with a convergence certificate."""
 
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict

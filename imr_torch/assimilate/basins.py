@@ -1,8 +1,8 @@
-"""Deeper basins of the nuisances of single experiments, at the gel where a search ended.
+"""Search for lower minima of the cost over the nuisances of single experiments, at the gel where a fit ended.
 
 A frame next to a collapse gives the cost a local minimum for either side of it: in time zero, with Rmax and R_inf to match.
 Starts of a search differ in the gel and not in these, so all of them may agree on the wrong one. At a fixed gel experiments are
-independent, and each can be searched through for little: one bubble, read at other times, shows the whole profile of the cost
+independent, and each can be searched at little cost: one bubble, read at other times, shows the whole profile of the cost
 over time zero, and one each the change with Rmax and R_inf. From the lowest minima of that profile a few Gauss-Newton steps of
 all nuisances follow, and the lowest end counts.
 """

@@ -1,4 +1,4 @@
-"""The state of a search: where each of its chains stands, what is known there, and which of them are under way.
+"""The state of a multistart search: position, cost and linearisation of each chain, and which chains are active.
 
 Steps of a search (:mod:`~imr_torch.assimilate.descent`, :mod:`~imr_torch.assimilate.multistart`,
 :mod:`~imr_torch.assimilate.basins`, :mod:`~imr_torch.assimilate.polish`) take a state and return another; none is changed in
@@ -21,12 +21,12 @@ _DAMPING = 1e-2
 
 @dataclass(frozen=True)
 class Chains:
-    """``C`` chains, each on its way to a local minimum of the cost, the negative log of one posterior.
+    """``C`` descents, each towards a local minimum of the cost, the negative log of one posterior.
 
     Args:
         posterior: of one model.
         masked: the same without the frames next to collapses.
-        point: ``C`` points, where the chains stand.
+        point: ``C`` points, positions of the chains.
         cost: ``C`` tensor, nats; infinite where a bubble fails.
         aim: ``C`` tensor, what a chain lowers: the cost, or that of the frames that are not masked.
         begun: ``C`` tensor, the cost at the start.
@@ -38,10 +38,10 @@ class Chains:
         gradient: ``C`` tensor, length of the gradient in posterior standard deviations.
         iterations: ``C`` integers.
         finished: ``C`` booleans.
-        around: per chain what was simulated about where it stands; None where nothing was.
+        around: per chain its point and the points beside it, simulated; None where not done.
         equations: per chain the last linearisation.
-        restarts: how often chains were sent out again.
-        simulated: bubbles of neighbourhoods so far, and how many of them failed.
+        restarts: how often chains were restarted.
+        simulated: bubbles simulated for sensitivities so far; ``failed`` is how many of them failed.
         failed: see ``simulated``.
     """
 
@@ -67,7 +67,7 @@ class Chains:
 
     @classmethod
     def at(cls, posterior: Posterior, point: Point, *, masking: bool) -> "Chains":
-        """Chains that set out from ``C`` points; those that cannot be simulated there are finished.
+        """Chains that start at ``C`` points; those that cannot be simulated there are finished.
 
         Args:
             posterior: what they search.
@@ -100,7 +100,7 @@ class Chains:
 
     @property
     def active(self) -> Tensor:
-        """Indices of the chains that are under way."""
+        """Indices of the chains that are not finished."""
         return torch.nonzero(~self.finished)[:, 0]
 
     @property
@@ -127,8 +127,8 @@ class Chains:
                 changed[name] = old.index_put((rows,), torch.as_tensor(value, dtype=old.dtype))
         return replace(self, **changed)
 
-    def sent(self, rows: Tensor, point: Point) -> "Chains":
-        """With some chains sent out anew from other points."""
+    def restarted(self, rows: Tensor, point: Point) -> "Chains":
+        """With some chains restarted from other points."""
         cost = -self.posterior.log_joint(point)
         return self.put(
             rows,
@@ -142,7 +142,7 @@ class Chains:
         )
 
     def near(self, rows: Tensor) -> Neighbourhood:
-        """What was simulated about some chains."""
+        """The simulated points and neighbours of some chains."""
         known = [self.around[row] for row in rows.tolist()]
         return Neighbourhood.stack([n for n in known if n is not None])
 

@@ -1,9 +1,9 @@
-"""One Gauss-Newton iteration of chains: linearise where each stands, and try a damped step.
+"""One Gauss-Newton iteration of all chains: linearise at the point of each, and try a damped step.
 
 Near a minimum a chain gets a *leader*, the point whose solver steps all its bubbles take: the cost is then a smooth function,
 equal to itself from iteration to iteration and between chains, where solves that each choose their own steps differ by some
-1e-4 in R*. Steps are those of Levenberg and Marquardt, several dampings where the first does not do what it promises, and are
-taken only if they lower the exact cost. Which chains are under way is decided elsewhere
+1e-4 in R*. Steps are those of Levenberg and Marquardt, several dampings where the first does not lower the cost as predicted,
+and are taken only if they lower the exact cost. Which chains are active is decided elsewhere
 (:mod:`imr_torch.assimilate.multistart`).
 """
 
@@ -19,16 +19,16 @@ from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Point
 
 NEAR = 1.0
-"""Posterior standard deviations from a minimum at which a chain gets a leader, and another start may set out."""
+"""Posterior standard deviations from a minimum at which a chain gets a leader, and another start may begin."""
 
-_DAMPINGS = (0.0, 1.0, 30.0)  # times the current damping; the others where the first does not do what it promises
-_KEPT = 0.5  # share of the promised decrease of the cost with which a step is taken without trying others
+_DAMPINGS = (0.0, 1.0, 30.0)  # times the current damping; the others where the first does not lower the cost as predicted
+_KEPT = 0.5  # share of the predicted decrease of the cost with which a step is taken without trying others
 _STUCK = 1e4  # damping at which nothing lowers the cost any more
 _LONGEST_STEP = 4.0  # prior standard deviations
 
 
 def iterate(chains: Chains, options: SearchOptions) -> Chains:
-    """One iteration of the chains that are under way."""
+    """One iteration of the active chains."""
     chains = _explored(chains)
     rows = chains.active
     if not rows.numel():
@@ -67,7 +67,7 @@ def predict_led(chains: Chains, rows: Tensor, point: Point) -> Tensor:
 
 
 def _explored(chains: Chains) -> Chains:
-    """With the neighbourhoods of all active chains simulated.
+    """With the points beside all active chains simulated.
 
     Where rounding decides whether a bubble can be simulated at all, one that could may be lost; its chain ends there.
     """
@@ -81,7 +81,7 @@ def _explored(chains: Chains) -> Chains:
 
 
 def _looked_around(chains: Chains, rows: Tensor) -> Chains:
-    """With the neighbourhoods of some chains simulated; one whose bubbles cannot follow its leader's goes without a leader."""
+    """With the points beside some chains simulated; one whose bubbles fail with its leader's steps loses its leader."""
     for leading in (False, True):
         some = rows[chains.leading[rows] == leading]
         if some.numel():
@@ -155,7 +155,7 @@ def _unstuck(chains: Chains, rows: Tensor) -> Chains:
 
 def _follow_oneself(chains: Chains, rows: Tensor) -> Chains:
     """Make the current points of chains their leaders."""
-    chains = chains.put(rows[chains.leading[rows]], around=None)  # one without a leader has led its own neighbourhood all along
+    chains = chains.put(rows[chains.leading[rows]], around=None)  # without a leader, its point was that of its neighbours
     return chains.put(rows, leading=True, leader=chains.point[rows])
 
 

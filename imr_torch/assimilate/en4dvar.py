@@ -2,12 +2,12 @@
 
 The method of Spratt et al. (J. Mech. Phys. Solids 152, 104455, 2021) and of arXiv 2409.00011, appendix B, in the ensemble-space
 form of Bocquet & Sakov (Nonlin. Processes Geophys. 20, 803, 2013): an ensemble of gels and nuisances is simulated, its members'
-deviations give the slopes of the curves by regression, and a Gauss-Newton step moves its mean; its deviations are then those
-of the posterior so far. Between cycles spread is relaxed to that at the cycle's start (RTPS: Whitaker & Hamill, Mon. Weather
-Rev. 140, 3078, 2012), so that restarts look beyond the minimum that was found. Truncation needs no care, since members are in
-whitened coordinates.
+deviations give the slopes of the curves by regression, and a Gauss-Newton step moves its mean; its deviations are then those of
+the posterior so far. Between cycles spread is relaxed to that at the cycle's start (RTPS: Whitaker & Hamill, Mon. Weather Rev.
+140, 3078, 2012), so that restarts can leave the minimum that was found. Truncated priors need no special treatment, since
+members are in whitened coordinates.
 
-The prior stands in the cost itself and not in the ensemble, so restarts do not use the data again, and data have their own
+The prior enters through the cost and not through the ensemble, so restarts do not use the data again, and data have their own
 likelihood; ``tempered`` gives them the published one. As slopes are means over the ensemble, steps do not follow the detail of
 the cost within its width: the method passes small local minima. Against the published method, of each step that share is taken
 at which the exact cost is lowest.

@@ -1,7 +1,7 @@
-"""What an assimilation returns: for each model the fitted Gaussian, and what says whether to lean on it.
+"""Results of an assimilation: the fitted Gaussian of each model, whether the fit converged, and whether a Gaussian suffices.
 
 The certificate says whether the optimum was found; the importance sample, once :func:`imr_torch.assimilate.weigh` has
-drawn it, says whether the Gaussian about the optimum is a fair picture of the posterior, and repairs its moments where not.
+drawn it, says whether the Gaussian about the optimum approximates the posterior, and gives corrected moments where not.
 """
 
 from dataclasses import dataclass
@@ -17,25 +17,25 @@ from imr_torch.observe import ExperimentBatch
 
 PROMISED = 2.0
 """Times the square of its gradient (in posterior standard deviations) that the cost of a start may still fall, nats: four times
-what a Gauss-Newton step promises."""
+what a Gauss-Newton step predicts."""
 
-ALL_BUT = 0.1
-"""Posterior standard deviations from a minimum, and nats between starts, at which it is all but found: a hundredth of a nat is
-left to gain."""
+NEARLY = 0.1
+"""Gradient in posterior standard deviations, and nats between starts, below which a fit has nearly converged: its cost can fall
+by about a hundredth of a nat."""
 
 ONE_MINIMUM = 0.5
-"""Nats within which fits are of one minimum: each solve's own steps make some .3 of it where single curves are sharp."""
+"""Cost difference, nats, within which two fits are of one minimum: solver steps alone change costs by up to some .3."""
 
 _SAME = 0.05  # nats between Gaussians: a mean a third of an sd off, or an sd 20 % off
-_CLOUD = 64  # draws by which a belief that bends is handed on
-_OUT = 20.0  # nats by which a model whose minimum is all but found is out of the running
-_FAR_OUT = 100.0  # the same where it is not, beyond what it may still fall
+_CLOUD = 64  # draws that represent a curved posterior in a belief
+_OUT = 20.0  # nats above the best model from which a nearly converged fit is discarded
+_FAR_OUT = 100.0  # the same for a fit that has not, after the decrease that its gradient allows
 _AGAIN = 0.1  # the same between two rounds, each with its error
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """Evidence that a minimum was found, and found twice.
+    """Convergence of a fit: the gradient at its end, and the agreement between its two best starts.
 
     Args:
         gradient: length of the gradient in posterior standard deviations; below the tolerance at a minimum.
@@ -57,9 +57,9 @@ class Certificate:
     converged: bool
 
     @property
-    def all_but_found(self) -> bool:
-        """Whether no more than a hundredth of a nat is left to gain, whatever the last digits do."""
-        return self.gradient < ALL_BUT and self.agreement < ALL_BUT
+    def nearly_converged(self) -> bool:
+        """Whether gradient and agreement are below 0.1: the cost can then fall by about a hundredth of a nat."""
+        return self.gradient < NEARLY and self.agreement < NEARLY
 
     def __str__(self) -> str:
         word = "converged" if self.converged else "NOT CONVERGED"
@@ -70,7 +70,7 @@ class Certificate:
 
 
 class Verdict(Enum):
-    """What becomes of a Gaussian answer.
+    """Whether the Gaussian approximation of a posterior is to be used.
 
     >>> from imr_torch.assimilate import Verdict
     >>> Verdict.REPAIRED.value
@@ -124,9 +124,9 @@ class ModelFit:
     certificate: Certificate
     sample: ImportanceSample | None = None
 
-    def out_of_the_running(self, best: float) -> bool:
-        """Whether the model cannot come near ``best``, the cost of another, nats, however much further it were fitted."""
-        if self.certificate.all_but_found:
+    def far_behind(self, best: float) -> bool:
+        """Whether the cost is far above ``best`` (the lowest of all models), by more than further fitting can lower it."""
+        if self.certificate.nearly_converged:
             return self.cost > best + _OUT
         return self.cost - PROMISED * self.certificate.gradient**2 > best + _FAR_OUT
 
@@ -147,7 +147,7 @@ class ModelFit:
 
     @property
     def posterior(self) -> ModelBelief:
-        """The belief after the data: the Gaussian or, where that is repaired, moments of the draws and a cloud of them."""
+        """The belief after the data: the fitted Gaussian or, if ``REPAIRED``, moments of the weighed draws and 64 of these."""
         if self.verdict is not Verdict.REPAIRED:
             return self._believed(self.mean, self.chol @ self.chol.mT)
         sample = self.sample
@@ -167,7 +167,11 @@ class ModelFit:
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the Gaussian answer stands: its moments are those found by weighing; or else were found twice over."""
+        """Whether the fitted Gaussian has the moments of the posterior.
+
+        ``TRUSTED``: importance weights are reliable and confirm its mean and covariance. ``REPAIRED``: they are reliable and
+        give other moments, which two successive rounds of draws agree on. ``REFUSED``: neither.
+        """
         sample = self.sample
         if sample is None:
             return Verdict.UNCHECKED
@@ -234,13 +238,13 @@ class Assimilation:
 
     @property
     def converged(self) -> bool:
-        """Whether every model's fit carries a clean certificate, or is so far behind that what is left of it cannot matter.
+        """Whether every model's fit converged, or has a cost so far above the best that its probability is practically zero.
 
-        The fit of a model that is plainly wrong stalls on its large residuals before the gradient is within a tolerance that
-        is meant for a right one, or rests where models race.
+        A model that misses the data has large residuals, with which Gauss-Newton may not reach the tolerance of the gradient,
+        and its starts may have been dropped (``SearchOptions.drop_behind``).
         """
         best = min(fit.cost for fit in self.fits)
-        return all(fit.certificate.converged or fit.out_of_the_running(best) for fit in self.fits)
+        return all(fit.certificate.converged or fit.far_behind(best) for fit in self.fits)
 
     def __getitem__(self, model: str) -> ModelFit:
         return next(fit for fit in self.fits if fit.model == model)

@@ -1,8 +1,8 @@
-"""Importance sampling with the means to say whether it worked: one set of draws gives evidence, moments and a verdict.
+"""Importance sampling of a posterior: one set of draws gives evidence, moments and a diagnosis of their reliability.
 
 Draws ``v`` of a heavy-tailed proposal (:mod:`imr_torch.assimilate.proposals`) are weighed by the exact posterior; the tail of
-the weights is smoothed by a generalised Pareto distribution, whose shape ``k`` says whether the weights have a mean worth the
-name (Vehtari, Simpson, Gelman, Yao & Gabry, JMLR 25(72), 2024).
+the weights is smoothed by a generalised Pareto distribution, whose shape ``k`` says whether the mean of the weights can be
+estimated (Vehtari, Simpson, Gelman, Yao & Gabry, JMLR 25(72), 2024).
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-_ENOUGH = 20.0  # effective samples, and a tenth of all, below which no estimate is leant on
+_ENOUGH = 20.0  # effective samples, and a tenth of all, below which no estimate is taken as reliable
 _SHORTEST_TAIL = 5  # weights to which a generalised Pareto distribution can be fitted
 
 
@@ -54,7 +54,7 @@ def largest_shape(count: int) -> float:
 
 
 def reliable(pareto_k: float, effective_samples: float, samples: int) -> bool:
-    """Whether estimates from weighed draws can be leant on."""
+    """Whether estimates from weighed draws are reliable."""
     return pareto_k <= largest_shape(samples) and effective_samples >= max(_ENOUGH, 0.1 * samples)
 
 
@@ -72,7 +72,7 @@ class ImportanceSample:
         centre: ``d`` tensor, mean of ``v`` that the proposal was made for.
         spread: ``d x d`` tensor, Cholesky factor of the covariance that it was made for.
         first_shape: ``k`` of the first round, whose proposal is the Gaussian with heavier tails.
-        rounds: how many rounds of draws were made; these are of the last one, whose proposal owes nothing to them.
+        rounds: how many rounds of draws were made; these are of the last one, and its proposal does not depend on them.
         precisions: ``n x d x d`` tensor, of the posterior about each draw; None where not known.
 
     >>> import torch
@@ -137,7 +137,7 @@ class ImportanceSample:
 
     @property
     def reliable(self) -> bool:
-        """Whether the estimates below can be leant on."""
+        """Whether the estimates below are reliable."""
         return reliable(self.pareto_k, self.effective_samples, len(self))
 
     @cached_property
@@ -146,9 +146,9 @@ class ImportanceSample:
         return self.divergence(self.centre, self.spread)
 
     def divergence(self, mean: Tensor, chol: Tensor) -> float:
-        """Kullback-Leibler divergence of a Gaussian from that with the moments found, nats, less what chance makes of it.
+        """Kullback-Leibler divergence of a Gaussian from that with the moments found, nats, less its expectation by chance.
 
-        Of ``n`` effective draws chance makes ``d (d + 3)/(4 n)`` on average: half a chi-square of as many degrees of freedom
+        With ``n`` effective draws that is ``d (d + 3)/(4 n)``: half a chi-square of as many degrees of freedom
         as there are moments, over ``n``.
 
         Args:

@@ -1,9 +1,9 @@
-"""Fits that are made again because draws of their posterior came upon a lower minimum.
+"""Repeated fits of models for which a posterior draw has a lower cost than the fitted minimum.
 
-Starts that agree say that a minimum was found twice, not that there is no other: where frames lie next to a collapse, the
-nuisances of one experiment may have a second minimum that no scout came near. Draws of the posterior, whose nuisances are
-placed anew for each gel, do. The weights of draws only suggest it, since they hang on a few draws of the nuisances; what counts
-is the cost of the most probable draws, at the nuisances that suit each best.
+Starts that agree do not exclude another, lower minimum: where frames lie next to a collapse, the nuisances of one experiment
+may have a second minimum that no start came near. Posterior draws, whose nuisances are fitted anew for each gel, may find it.
+The weights of draws only suggest it, since they depend on a few draws of the nuisances; decisive is the cost of the most
+probable draws, at their own most probable nuisances.
 """
 
 import math
@@ -35,12 +35,12 @@ def lower_point(fit: ModelFit, best: float, batch: ExperimentBatch, simulator: S
 
     Args:
         fit: a model with its draws.
-        best: the lowest cost of all models, nats; a model that is far behind is not looked at.
+        best: the lowest cost of all models, nats; a model that is far behind is left out.
         batch: the data.
         simulator: the simulator it was made with; asked only where the weights suggest another minimum.
     """
     assert fit.sample is not None
-    if fit.out_of_the_running(best) or _excess(fit) <= _MORE:
+    if fit.far_behind(best) or _excess(fit) <= _MORE:
         return None
     likeliest = fit.sample.log_target.argsort(descending=True)[:_LIKELIEST]
     posterior, point = (

@@ -3,7 +3,7 @@
 The cost is the negative log of the joint posterior of gel and nuisances (:mod:`imr_torch.assimilate.posterior`): all repeats
 and frames with their own noise, and the prior once. A step is taken only if it lowers the exact cost; see
 :mod:`imr_torch.assimilate.fit` for the certificate that each fit carries, and :func:`imr_torch.assimilate.weigh` for what is
-beyond the Gaussian about the optimum. Truncated priors need no care: the coordinates are unbounded.
+beyond the Gaussian about the optimum. Truncated priors need no special treatment: the coordinates are unbounded.
 """
 
 import warnings
@@ -15,9 +15,9 @@ from torch import Tensor
 from imr_torch.assimilate.chains import Chains
 from imr_torch.assimilate.descent import iterate, predict_led
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
-from imr_torch.assimilate.multistart import enter_deeper_basins, hold_back, referee
+from imr_torch.assimilate.multistart import defer_starts, enter_deeper_basins, manage_starts
 from imr_torch.assimilate.options import SearchOptions
-from imr_torch.assimilate.polish import polish_crawling
+from imr_torch.assimilate.polish import polish_slow
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.starts import beside, given, scouted
 from imr_torch.errors import ConvergenceWarning
@@ -88,7 +88,7 @@ def assimilate(
         points = [scouted(p, options, source) for p in posteriors]
     masking = starts is None and near is None if options.mask_collapses is None else options.mask_collapses
     searches = [Chains.at(p, x, masking=masking) for p, x in zip(posteriors, points, strict=True)]
-    searches = _converged(hold_back(searches, options), options, source, progress)
+    searches = _converged(defer_starts(searches, options), options, source, progress)
     for _ in range(options.basin_rounds):
         searches, moved = enter_deeper_basins(searches, options, source)
         if not moved:
@@ -104,10 +104,10 @@ def assimilate(
 def _converged(
     searches: list[Chains], options: SearchOptions, source: torch.Generator, progress: Progress | None
 ) -> list[Chains]:
-    """Iterated until all chains are finished or their time is over; those that crawl are polished then, and iterated again."""
+    """Iterated to convergence or the iteration limit; slow chains then get quasi-Newton steps and are iterated again."""
     searches = _iterated(searches, options, source, progress)
     if options.polish:
-        searches, polished = polish_crawling(searches, options)
+        searches, polished = polish_slow(searches, options)
         searches = _iterated(searches, options, source, progress) if polished else searches
     return searches
 
@@ -115,11 +115,11 @@ def _converged(
 def _iterated(
     searches: list[Chains], options: SearchOptions, source: torch.Generator, progress: Progress | None
 ) -> list[Chains]:
-    """Iterated until all chains are finished or their time is over."""
+    """Iterated until all chains are finished or the iteration limit is reached."""
     for iteration in range(options.iterations):
         if all(bool(chains.finished.all()) for chains in searches):
             break
-        searches = referee([iterate(chains, options) for chains in searches], options, source)
+        searches = manage_starts([iterate(chains, options) for chains in searches], options, source)
         if progress:
             progress(f"assimilation: iteration {iteration + 1}, {', '.join(_report(chains) for chains in searches)}")
     return searches

@@ -1,8 +1,8 @@
-"""A posterior without the frames next to collapses, in which a search does not meet the local minima that these make.
+"""The posterior without the frames next to collapses, which make local minima; searches begin with it.
 
 At a collapse R(t) has a cusp, so a frame next to it sees the same radius before the collapse and after. A model whose collapse
 lies on the wrong side of such a frame has a local minimum there, a hundredth of the prior's width from the right one and tens
-of nats above it. Without those frames it has none. Searches begin without them and take them back near a minimum.
+of nats above it. Without those frames it has none. Searches mask them at first, and use all frames near a minimum.
 """
 
 import math
@@ -44,7 +44,7 @@ class Masked:
         return torch.where(self.posterior.batch.mask, kept, 0.0)
 
     def neighbourhood(self, whole: Neighbourhood) -> Neighbourhood:
-        """The neighbourhood of the posterior of all frames, as this one has it."""
+        """Simulated neighbours of the posterior of all frames, reduced to the frames that are kept."""
         return replace(whole, posterior=self.posterior, prediction=self.seen(whole.prediction))
 
 

@@ -1,8 +1,8 @@
-"""Which chains of a search are under way: who sets out, who is dropped, and who is sent out again.
+"""Multistart logic: which starts of a search begin, which are dropped, and which are restarted.
 
 Two starts of a model must agree before its minimum is believed. Where several models are compared
-(``SearchOptions.drop_behind``) most fall far behind long before that matters, and their chains are dropped. Each function
-takes the states of the searches, one a model, between two iterations, and returns new ones.
+(``SearchOptions.drop_behind``) most have a far higher cost than the best long before that, and their chains are dropped. Each
+function takes the states of the searches, one a model, between two iterations, and returns new ones.
 """
 
 from collections.abc import Sequence
@@ -14,28 +14,28 @@ from torch import Tensor
 from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.chains import Chains, lowest_cost
 from imr_torch.assimilate.descent import NEAR
-from imr_torch.assimilate.fit import ALL_BUT, PROMISED
+from imr_torch.assimilate.fit import NEARLY, PROMISED
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Point
 from imr_torch.assimilate.starts import around
 
 Searches = list[Chains]
 
-_AWAY = (10.0, 3.0)  # posterior standard deviations by which a first and a second restart are away
-_FAIR = 0.2  # share of the largest decrease of the cost from which a model with several minima is given all its starts
+_AWAY = (10.0, 3.0)  # posterior standard deviations from the best point at which a first and a second restart begin
+_FAIR = 0.2  # share of the largest decrease of the cost from which a model with several minima gets all its starts
 _FAR_BEHIND = 200.0  # nats between minima that no other basin of the nuisances is likely to make up for
-_RESERVE = 10.0  # times ``drop_behind`` by which a model may lag and still have its other starts sent out
+_RESERVE = 10.0  # times ``drop_behind`` by which a model may be behind and still begin its other starts
 
 
-def hold_back(searches: Searches, options: SearchOptions) -> Searches:
-    """Where models are compared, only the best start of each sets out; the others wait until it is near a minimum."""
+def defer_starts(searches: Searches, options: SearchOptions) -> Searches:
+    """Where models are compared, only the best start of each begins; the others wait until it is near a minimum."""
     if options.drop_behind is None:
         return searches
     return [chains.put(chains.ranked[1:], finished=True) for chains in searches]
 
 
-def referee(searches: Searches, options: SearchOptions, source: torch.Generator) -> Searches:
-    """After an iteration: drop chains that lag, end those that need not go on, and send others out."""
+def manage_starts(searches: Searches, options: SearchOptions, source: torch.Generator) -> Searches:
+    """After an iteration: drop chains that are far behind, end those that have converged, and begin or restart others."""
     searches = [_settled(chains, options) for chains in _dropped(searches, options)]
     for number in range(len(searches)):
         searches[number] = _restarted(searches, number, options, source)
@@ -43,9 +43,9 @@ def referee(searches: Searches, options: SearchOptions, source: torch.Generator)
 
 
 def enter_deeper_basins(searches: Searches, options: SearchOptions, source: torch.Generator) -> tuple[Searches, bool]:
-    """Send models out again whose nuisances have a deeper basin where they ended, and say whether any has.
+    """Restart models whose nuisances have a deeper basin at the gel where they ended, and say whether any has.
 
-    Two starts set out, from the best and from beside it. Models far behind are not looked at.
+    Two starts begin, at the best point and beside it. Models far behind are left out.
     """
     reach = _FAR_BEHIND if options.drop_behind is None else min(options.drop_behind, _FAR_BEHIND)
     far, any_moved, result = lowest_cost(searches) + reach, False, []
@@ -61,36 +61,36 @@ def enter_deeper_basins(searches: Searches, options: SearchOptions, source: torc
             continue
         any_moved, rows = True, chains.ranked[:2]
         gels = torch.cat((here.gel, _beside(chains, int(best), _AWAY[0], 1, source)))
-        chains = chains.sent(rows, Point(gels, deeper.expand(len(rows), -1, -1)))
+        chains = chains.restarted(rows, Point(gels, deeper.expand(len(rows), -1, -1)))
         result.append(replace(chains, restarts=0))
     return result, any_moved
 
 
 def _dropped(searches: Searches, options: SearchOptions) -> Searches:
-    """End chains that the lowest of all models has left behind."""
+    """End chains whose cost stays more than ``drop_behind`` above the lowest of all models."""
     if options.drop_behind is None:
         return searches
     limit = lowest_cost(searches) + options.drop_behind
     result = []
     for chains in searches:
         reached = chains.cost - PROMISED * chains.gradient.clamp_max(1e6).square()
-        lagging = torch.nonzero((reached > limit) & ~chains.masking)[:, 0]
-        result.append(chains.put(lagging, finished=True))
+        behind = torch.nonzero((reached > limit) & ~chains.masking)[:, 0]
+        result.append(chains.put(behind, finished=True))
     return result
 
 
 def _settled(chains: Chains, options: SearchOptions) -> Chains:
-    """End the other starts of a model once its best one has converged and a second is all but there, at the same cost."""
+    """End the other starts of a model once its best one has converged and a second has nearly, at the same cost."""
     agree = (chains.cost < chains.cost.min() + options.agreement) & ~chains.masking
     sure = agree & (chains.gradient < options.gradient) & chains.finished
-    near = agree & (chains.gradient < max(ALL_BUT, options.gradient))
+    near = agree & (chains.gradient < max(NEARLY, options.gradient))
     if bool(sure.any()) and int(near.sum()) >= 2 and not _several(chains, options):
         return chains.put(torch.arange(len(chains)), finished=True)
     return chains
 
 
 def _restarted(searches: Sequence[Chains], number: int, options: SearchOptions, source: torch.Generator) -> Chains:
-    """Send starts out that were held back; where starts disagree, search again near the best point, then nearer."""
+    """Begin starts that were deferred; where starts disagree, restart near the best point, then nearer."""
     chains = searches[number]
     rows, several = chains.ranked, _several(chains, options)
     apart = rows[chains.cost[rows] > chains.cost[rows[0]] + options.agreement]
@@ -105,7 +105,7 @@ def _restarted(searches: Sequence[Chains], number: int, options: SearchOptions, 
         return chains
     gels = _beside(chains, int(rows[0]), _AWAY[chains.restarts], len(apart), source)
     point = Point(gels, chains.point.nuisances[rows[0]].expand(len(apart), -1, -1))
-    return replace(chains.sent(apart, point), restarts=chains.restarts + 1)
+    return replace(chains.restarted(apart, point), restarts=chains.restarts + 1)
 
 
 def _lags(behind: float, options: SearchOptions, times: float) -> bool:
@@ -114,7 +114,7 @@ def _lags(behind: float, options: SearchOptions, times: float) -> bool:
 
 
 def _several(chains: Chains, options: SearchOptions) -> bool:
-    """Whether a model among others was given starts for several minima: that two of them agree says little of the others."""
+    """Whether a model among others has starts for several minima, so that agreement of two does not exclude others."""
     return options.drop_behind is not None and len(chains) > 2
 
 

@@ -1,8 +1,8 @@
-"""Fits to measured curves, whose noise is not known before: it is estimated from the residuals.
+"""Assimilation of measured curves with their noise law estimated from the residuals.
 
-First the fits are made with the law as given, then again with what the residuals of the best model say, so that a model that
-misses the data pays with wider intervals instead of false precision. Of fits that are not the last only the residuals matter,
-so they end within a tenth of a nat of a minimum.
+All models are fitted with the noise law as given; a law is fitted to the residuals of the best model; all models are fitted
+again with that law. A model that misses the data thus gets a larger noise and wider intervals. Only the residuals of the
+earlier fits are used, so these end within a tenth of a nat of a minimum.
 """
 
 from dataclasses import replace
@@ -23,7 +23,7 @@ from imr_torch.types import Progress
 NOISE_ROUNDS = 2
 """How often the noise of measured curves is estimated: from fits with the given law, and from fits with the first estimate."""
 
-_GRADIENT, _AGREEMENT = 0.3, 1.0  # posterior standard deviations and nats that fits which are not the last may lack
+_GRADIENT, _AGREEMENT = 0.3, 1.0  # tolerances (posterior standard deviations, nats) of all fits but the last
 
 
 def assimilate_estimating_noise(
@@ -37,7 +37,7 @@ def assimilate_estimating_noise(
     warn: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:
-    """:func:`assimilate`, and again with the noise that the residuals suggest.
+    """Fit all models, estimate the noise from the residuals of the best one, and fit again.
 
     Args:
         belief: prior; not changed.
@@ -92,7 +92,7 @@ def assimilate_estimating_noise(
 
 
 def _coarse(options: SearchOptions) -> SearchOptions:
-    """Tolerances of fits that are not the last."""
+    """Tolerances of all fits but the last."""
     return replace(options, gradient=max(_GRADIENT, options.gradient), agreement=max(_AGREEMENT, options.agreement))
 
 
@@ -110,7 +110,7 @@ def noise_of_residuals(result: Assimilation, law: Noise) -> Noise:
 
 
 def _freedom(fit: ModelFit, batch: ExperimentBatch) -> float:
-    """Degrees of freedom that a fit took: its controls and nuisances, each as far as the data told more than the prior."""
+    """Degrees of freedom that a fit took: its controls and nuisances, each as far as the data reduced its prior variance."""
     gel = len(fit.mean) - float(fit.chol.square().sum())
     uncertain = batch.nuisance_sds > 0.0
     left = torch.cholesky_inverse(fit.nuisance_chol).diagonal(dim1=-2, dim2=-1)

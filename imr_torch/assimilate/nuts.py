@@ -1,4 +1,4 @@
-"""The long-run reference: Hamiltonian Monte Carlo through the differentiable simulator, with no Gaussian assumed.
+"""Hamiltonian Monte Carlo through the differentiable simulator: a reference posterior with no Gaussian assumed.
 
 The no-U-turn sampler (Hoffman & Gelman, JMLR 15, 2014; Pyro's implementation) moves in the coordinates of the fit: gel and
 nuisances in standard deviations of the joint Gaussian about the optimum, which serves as the mass matrix. Since a batch

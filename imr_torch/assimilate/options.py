@@ -1,4 +1,4 @@
-"""How gels are fitted: the settings of the two methods, checked when they are made. Whoever passes one chooses the method."""
+"""Settings of the two fitting methods, checked when they are made; the type of the settings selects the method."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from imr_torch.errors import InputDataError
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """How the search for the most probable gel goes (:func:`imr_torch.assimilate.assimilate`).
+    """Settings of the search for the most probable gel (:func:`imr_torch.assimilate.assimilate`).
 
     Args:
         scouts: prior draws from which the starts are chosen.
@@ -15,15 +15,15 @@ class SearchOptions:
         iterations: most Gauss-Newton iterations.
         gradient: tolerance of the gradient, posterior standard deviations; 1e-3 leaves 5e-7 nats.
         agreement: tolerance of the cost difference between the two best starts, nats.
-        drop_behind: a start is dropped, unconverged, once its cost less what its gradient promises is above the lowest cost of
-            all models by more than this, nats; never when not given. When given, only the best start of each model sets out at
-            first, and a second follows once that is near a minimum and not too far behind; of more than two, all follow from
-            farther behind too.
-        basin_rounds: times that models may be sent out again into a deeper basin of their nuisances
-            (:mod:`imr_torch.assimilate.basins`); with 0 nobody looks, as where nuisances begin at a fit whose basins were
-            compared.
+        drop_behind: a start is dropped, unconverged, once its cost, less what its gradient allows, is above the lowest cost of
+            all models by more than this, nats; never when not given. When given, only the best start of each model begins at
+            first, and a second follows once that is near a minimum and not too far behind; of more than two, all follow even
+            from farther behind.
+        basin_rounds: times that models may be restarted in a deeper basin of their nuisances
+            (:mod:`imr_torch.assimilate.basins`); with 0 none is searched for, as where nuisances begin at a fit whose
+            basins were compared.
         mask_collapses: whether chains leave the frames next to collapses out until they are near a minimum
-            (:mod:`imr_torch.assimilate.masking`); when not given, those that set out from prior draws do.
+            (:mod:`imr_torch.assimilate.masking`); when not given, those that start from prior draws do.
         polish: whether the best chains that have not converged after all iterations are taken to their minimum by
             quasi-Newton steps, and iterated once more (:mod:`imr_torch.assimilate.polish`).
 
@@ -53,7 +53,7 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class En4DVarOptions:
-    """How hybrid ensemble 4D-Var goes; sizes as in arXiv 2409.00011 by default.
+    """Settings of hybrid ensemble 4D-Var; sizes as in arXiv 2409.00011 by default.
 
     Args:
         members: of the ensemble of each model, in opposite pairs.

@@ -1,8 +1,9 @@
-"""Quasi-Newton steps for chains at which Gauss-Newton crawls.
+"""Quasi-Newton steps for chains on which Gauss-Newton converges slowly.
 
-Gauss-Newton does not know how residuals bend the cost. Where a model is plainly wrong they are tens of standard deviations,
-every step has to be damped, and a hundred of them end nowhere. BFGS learns that curvature on its way (Nocedal & Wright,
-Numerical Optimization, 2nd ed. 2006, chapter 6). It begins in coordinates in which the Gauss-Newton Hessian is the identity.
+Gauss-Newton leaves out the curvature of the cost that comes from residuals. Where a model misses the data they are tens of
+standard deviations, every step has to be damped, and a hundred do not converge. BFGS estimates that curvature (Nocedal &
+Wright, Numerical Optimization, 2nd ed. 2006, chapter 6). It begins in coordinates in which the Gauss-Newton Hessian is the
+identity.
 """
 
 import math
@@ -21,28 +22,28 @@ from imr_torch.assimilate.posterior import Neighbourhood, Point, Posterior
 Vector = NDArray[np.float64]
 
 NEAR = 0.01
-"""Posterior standard deviations from a minimum at which Gauss-Newton arrives by itself."""
+"""Posterior standard deviations from a minimum from which Gauss-Newton converges by itself."""
 
-_ROUNDS = 3  # each behind a leader of its own: far from it the cost is rough
+_ROUNDS = 3  # each with a new leader: far from it the cost is not smooth
 _STEPS = 80
 _WALL = 1e10  # cost where a bubble fails: no step ends there
 
 
-def polish_crawling(searches: Sequence[Chains], options: SearchOptions) -> tuple[list[Chains], bool]:
-    """Lower the best two chains of each model that are still on their way to a minimum, and say whether any are.
+def polish_slow(searches: Sequence[Chains], options: SearchOptions) -> tuple[list[Chains], bool]:
+    """Lower the best two chains of each model that have not converged, and say whether there are any.
 
-    Those of a model that the lowest of all has left behind (``drop_behind``) stay where they are.
+    Chains more than ``drop_behind`` above the lowest cost of all models are left as they are.
     """
     limit = lowest_cost(searches) + (math.inf if options.drop_behind is None else options.drop_behind)
     result, polished = [], False
     for chains in searches:
-        crawling = ~chains.finished & ~chains.masking & (chains.gradient > NEAR) & (chains.cost < limit)
-        rows = torch.nonzero(crawling)[:, 0]
+        slow = ~chains.finished & ~chains.masking & (chains.gradient > NEAR) & (chains.cost < limit)
+        rows = torch.nonzero(slow)[:, 0]
         rows = rows[torch.argsort(chains.cost[rows])][:2]
         if rows.numel():
             ends = [polish(chains.posterior, chains.point[row]) for row in rows.tolist()]
             point = Point(torch.stack([end.gel for end in ends]), torch.stack([end.nuisances for end in ends]))
-            chains, polished = chains.sent(rows, point), True
+            chains, polished = chains.restarted(rows, point), True
         result.append(chains)
     return result, polished
 

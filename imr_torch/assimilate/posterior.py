@@ -1,8 +1,8 @@
 """The posterior of one model's gel and of the nuisances of every experiment: its density and its linearisation at any point.
 
-Prior, data and simulator meet here and nowhere else: fits, importance sampling, Hamiltonian Monte Carlo and the tests of the
-model's misfit all ask this object. Points are in whitened coordinates, in which the prior is a standard normal: ``d`` of the
-gel, and three of each experiment (Rmax, time zero, R_inf). Sensitivities are differences of bubbles that take the steps of
+Prior, data and simulator are combined here and nowhere else: fits, importance sampling, Hamiltonian Monte Carlo and the tests
+of the model's misfit all ask this object. Points are in whitened coordinates, in which the prior is a standard normal: ``d`` of
+the gel, and three of each experiment (Rmax, time zero, R_inf). Sensitivities are differences of bubbles that take the steps of
 one of them (a bundle), so they are those of the solver itself.
 """
 
@@ -120,7 +120,7 @@ class Posterior:
         return likelihood - 0.5 * point.gel.square().sum(-1) - 0.5 * point.nuisances.square().sum((-2, -1))
 
     def neighbourhood(self, point: Point, scale: Tensor | None = None, *, leader: Point | None = None) -> "Neighbourhood":
-        """Simulate points and their neighbours, a bundle each.
+        """Simulate points and the points beside them for finite differences, a bundle each.
 
         Args:
             point: ``batch_shape`` points.
@@ -162,7 +162,7 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Neighbourhood:
-    """Points with their neighbours, simulated.
+    """Simulated points and the points beside them, from which local sensitivities follow by finite differences.
 
     Args:
         posterior: whose.
@@ -212,7 +212,7 @@ class Neighbourhood:
     def slopes(self) -> tuple[Tensor, Tensor]:
         """Sensitivities of the prediction to the gel (``batch_shape x E x T x d``) and nuisances (``batch_shape x E x T x 3``).
 
-        Neighbours that failed tell nothing: their slope is zero.
+        Neighbours that failed give a slope of zero.
         """
         count, centre = self.moves.shape[-2], self.centre.unsqueeze(-3)
         moved, shifted = self.prediction[..., 1 : 1 + count, :, :], self.prediction[..., 1 + count :, :, :]

@@ -1,4 +1,4 @@
-"""What draws of a posterior are proposed from: kernels about the fit, along its ridge, or about draws weighed before.
+"""Proposal distributions for importance sampling: Student-t mixtures about a fit, along its ridge, or about earlier draws.
 
 A proposal is made anew from the draws so far as a mixture of kernels (West, JRSS B 55, 1993), with all of them weighed by the
 mixture of their proposals (Owen & Zhou, JASA 95, 2000).
@@ -49,9 +49,9 @@ class Kernels:
     def through(cls, points: Tensor, log_weights: Tensor) -> "Kernels":
         """Kernels on weighed points (``n x d``, ``n``), of the width of Silverman's rule (1986, equation 4.14).
 
-        One wide kernel about them all looks where no point was. Weights of which fewer than ten a dimension count are
-        tempered first, and the kernels widened in turn: such points lie at the edge of what was proposed, and what they are
-        drawn to lies beyond it.
+        One wide kernel about them all covers places without a point. Weights with an effective sample size below ten a
+        dimension are tempered first, and the kernels widened in turn: such points lie at the edge of the earlier proposal, and
+        the posterior beyond it.
         """
         size = points.shape[1]
         weights, power = _tempered(log_weights, 10.0 * (size + 1))
@@ -65,7 +65,7 @@ class Kernels:
         return cls(points[kept], weights[kept], chols, mean, chol).with_watch(_WATCH)
 
     def with_watch(self, share: float) -> "Kernels":
-        """With one wide kernel about all, which looks where the others do not; it takes ``share`` of the probability."""
+        """With one wide kernel about all, which covers what the others do not; it takes ``share`` of the probability."""
         return Kernels(
             centres=torch.cat((self.centres, self.mean[None])),
             weights=torch.cat(((1.0 - share) * self.weights, self.weights.new_tensor([share]))),

@@ -1,4 +1,4 @@
-"""The published assimilation, for comparison: an ensemble pulled towards the mean curve of one design by a tempered misfit.
+"""The published ensemble 4D-Var, for comparison: fits an ensemble to the mean curve of one design with a tempered likelihood.
 
 Ensemble 4D-Var in the transform form (Sakov, Oliver & Bertino, Mon. Weather Rev. 140, 2012; Bocquet & Sakov 2013) as used in
 arXiv 2409.00011, appendix B: Gauss-Newton iterations over the whole spread of the ensemble, restarted a few times from their
@@ -55,7 +55,7 @@ class PublishedOptions:
 
 @dataclass(frozen=True)
 class PublishedFit:
-    """What became of the ensemble of one model.
+    """The ensembles of one model, before each iteration and at the end.
 
     Args:
         prior: belief it was drawn from.
@@ -107,7 +107,7 @@ def assimilate_published(
     options: PublishedOptions | None = None,
     progress: Progress | None = None,
 ) -> tuple[PublishedFit, ...]:
-    """Pull an ensemble of every model towards one experiment.
+    """Fit an ensemble of every model to one experiment by the published method.
 
     Args:
         belief: prior; not changed. Its truncation is exact, as ensembles are of unbounded controls.

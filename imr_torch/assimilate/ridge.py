@@ -1,12 +1,12 @@
-"""A proposal along a bent ridge, where the data leave one direction loose and bind the others to it.
+"""A proposal distribution along a curved ridge of the posterior, where one direction is poorly determined.
 
-Two parameters that do much the same to R(t) (G and alpha, say) leave a posterior many times as long as it is wide, and within
-that length it bends. A Gaussian leaves it, and kernels about draws of that Gaussian never see its ends. So the ridge is
-followed step by step (continuation by pseudo-arclength: Keller 1977), the other controls and the nuisances being fitted at
-each point (a profile likelihood, as in Raue et al., Bioinformatics 25, 2009), until the profile has fallen by ``_DEEP`` on
-both sides. Kernels on the points, each along and as wide as the ridge is there, are the proposal.
+Two parameters that do much the same to R(t) (G and alpha, say) leave a posterior many times as long as it is wide, and curved
+over that length. A Gaussian does not follow it, and kernels about draws of that Gaussian do not reach its ends. So it is
+followed step by step (continuation by pseudo-arclength: Keller 1977), the other controls and the nuisances being fitted at each
+point (a profile likelihood, as in Raue et al., Bioinformatics 25, 2009), until the profile has fallen by ``_DEEP`` on both
+sides. Kernels on the points, each along and as wide as the ridge is there, are the proposal.
 
-It need not be exact: every draw is weighed. Goes in: a fit whose Gaussian did not stand.
+It need not be exact, since every draw is weighed. Used for fits whose Gaussian was not confirmed.
 """
 
 import math
@@ -26,7 +26,7 @@ _ATTEMPTS = 24  # most points that are tried on either side of the optimum
 _SHORTEST = 1.0 / 16.0  # posterior standard deviations between points; the most is one
 _BENT = 1.0  # nats by which a point may lie off the straight line through the two before
 _PASSES = 4  # most Gauss-Newton steps at one point
-_NEAR = 0.3  # nats that the next step may promise where a point is taken for fitted
+_NEAR = 0.3  # predicted decrease of the next step, nats, below which a point is taken as fitted
 _LOST = 3.0  # nats of that from which a point is no part of the ridge
 _OVERLAP = 0.7  # scale of a kernel along the ridge over the distance of its neighbours
 _WATCH = 0.1  # share of a wide kernel about all
@@ -39,7 +39,7 @@ class _Fitted:
     Args:
         point: where.
         cost: of the joint cost's optimum at this place along the ridge, nats.
-        promised: nats by which the last step was to lower it, counted in ``cost`` already; infinite where a bubble failed.
+        promised: nats by which the last step is predicted to lower it, included in ``cost``; infinite where a bubble failed.
         hessian: ``d x d`` tensor, of the cost, nuisances eliminated.
         nuisance_log_det: log determinant of the nuisances' own Hessian.
     """
@@ -171,7 +171,7 @@ def _across(way: Tensor) -> Tensor:
 
 
 def _stepped(fitted: _Fitted, along: Tensor, near: Neighbourhood) -> _Fitted:
-    """A point after a Gauss-Newton step across the ridge, with the cost that the step promises, from its neighbourhood."""
+    """A point after a Gauss-Newton step across the ridge, with the cost predicted from its local sensitivities."""
     if not bool(torch.isfinite(near.prediction).all()):
         return replace(fitted, promised=math.inf)
     equations, across = near.equations, _across(along)

@@ -1,6 +1,6 @@
-"""Where the chains of a search set out: from the best of many prior draws, from given points, or from about an earlier optimum.
+"""Starting points of a multistart search: the best of many prior draws, given points, or points about an earlier optimum.
 
-Starts of a model are apart from each other, so that their ending in one place says something.
+Starts of a model are apart from each other, so that their agreement is evidence of convergence.
 """
 
 from collections.abc import Sequence
@@ -52,7 +52,7 @@ def beside(posterior: Posterior, fit: ModelFit, options: SearchOptions, source: 
 def around(chol: Tensor, source: torch.Generator, away: float) -> Tensor:
     """A ``d`` perturbation, ``away`` posterior standard deviations (``chol``, ``d x d``) or, if less, a quarter of the prior's.
 
-    Where the data are sharp, a step on the prior's scale leads out of the minimum into whichever lies next to it.
+    Where the data are sharp, a step on the prior's scale would lead to another local minimum.
     """
     noise = torch.randn(chol.shape[0], generator=source, dtype=torch.float64)
     step = away * (chol @ noise)

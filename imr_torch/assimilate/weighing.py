@@ -1,15 +1,14 @@
-"""When the Gaussian answer is to be trusted, and what to believe where it is not.
+"""Importance sampling of each fit's posterior: checks the Gaussian approximation, and corrects its moments where it fails.
 
-Each fit's Gaussian, with heavier tails, proposes draws that are weighed by the exact posterior. Nuisances are integrated
-out for each draw and each experiment by importance sampling from their conditional Gaussian, with heavier tails too, in
-opposite pairs, which cancels its skewness; the product over experiments is without bias (pseudo-marginal: Andrieu & Roberts,
-Ann. Stat. 37, 2009). That Gaussian is at first the fit's, moved linearly with the gel, and after the first round each draw's
-own. A model whose Gaussian does not stand gets another round about the
-ridge that its posterior lies on (:mod:`~imr_torch.assimilate.ridge`), then with proposals made from all its weighed draws,
-until one stands.
+Each fit's Gaussian, with heavier tails, proposes draws that are weighed by the exact posterior. Nuisances are integrated out
+for each draw and each experiment by importance sampling from their conditional Gaussian, with heavier tails too, in opposite
+pairs, which cancels its skewness; the product over experiments is without bias (pseudo-marginal: Andrieu & Roberts, Ann. Stat.
+37, 2009). That Gaussian is at first the fit's, moved linearly with the gel, and after the first round each draw's own. A model
+whose Gaussian is not confirmed gets another round about the ridge that its posterior lies on
+(:mod:`~imr_torch.assimilate.ridge`), then with proposals made from all its weighed draws, until one is reliable.
 
-A draw that comes upon a lower minimum has the fit made again from there (:mod:`~imr_torch.assimilate.lower`). Another mode far
-from all draws stays unseen here; against that stands the agreement of the starts in the fit's certificate.
+Where a draw has a lower cost than the minimum, the model is fitted again from there (:mod:`~imr_torch.assimilate.lower`).
+Another mode far from all draws is not detected here, but by disagreement of the starts in the fit's certificate.
 """
 
 import math
@@ -46,13 +45,13 @@ class _Draws:
         controls: ``n x d`` tensor.
         nuisances: ``n x K x E x 3`` tensor: opposite pairs, or (``K = 1``) all zero where none is uncertain.
         log_ratio: ``n x K x E`` tensor, log of prior over proposal of the nuisances.
-        lots: ``n x E`` tensor of uniform numbers, by which one of the nuisances of each is kept.
+        uniforms: ``n x E`` tensor of uniform random numbers, by which one of the nuisances of each is kept.
     """
 
     controls: Tensor
     nuisances: Tensor
     log_ratio: Tensor
-    lots: Tensor
+    uniforms: Tensor
 
 
 @dataclass(frozen=True)
@@ -75,8 +74,8 @@ class _Round:
 
 
 @dataclass
-class _Course:
-    """A model on its way to a verdict: the fit with the draws of its last round, and what led to them.
+class _State:
+    """The state of one model between rounds: the fit with the draws of its last round, and those before.
 
     Args:
         fit: the fit.
@@ -94,7 +93,7 @@ class _Course:
 
     @property
     def refused(self) -> bool:
-        """Whether the draws so far do not make the answer one to be trusted."""
+        """Whether the draws so far do not give reliable moments."""
         return self.fit.verdict is Verdict.REFUSED
 
 
@@ -116,17 +115,17 @@ def weigh(
         simulator: the simulator they were made with.
         seed: of the draws.
         samples: draws per model in the first two rounds, each one simulation per experiment (two where nuisances are
-            uncertain). Every later round has twice as many as the one before, so that chance alone cannot go on refusing;
+            uncertain). Every later round has twice as many as the one before, so that chance alone does not lead to refusal;
             but where nuisances are uncertain the third has as many, each with four times the nuisances.
         rounds: most rounds; a model stops when the weights are reliable and their moments those that the proposal was
             made for, which after the first round are those of the fit's Gaussian.
         drop_behind: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
-            evidence is, by weights that can be leant on.
-        refit: whether a model of which a draw comes upon a lower minimum is fitted again from there, and weighed anew.
+            evidence is, by reliable weights.
+        refit: whether a model of which a draw has a lower cost than its minimum is fitted again from there, and weighed anew.
         progress: called with one line per round.
 
     Returns:
-        The assimilation with a ``sample`` in each fit, from which evidence, moments and verdict are taken.
+        The assimilation with a ``sample`` in each fit, from which evidence, moments and verdict follow.
 
     Raises:
         InputDataError: for fewer than 25 samples or no round.
@@ -148,58 +147,58 @@ def weigh(
     if samples < 25 or rounds < 1:
         raise InputDataError(f"weigh: samples {samples} must be at least 25, and rounds {rounds} at least 1.")
     batch = assimilation.batch
-    courses = [_Course(replace(fit, sample=None)) for fit in assimilation.fits]
-    waiting, number = courses, 0
+    states = [_State(replace(fit, sample=None)) for fit in assimilation.fits]
+    waiting, number = states, 0
     while waiting:
         number += 1
-        for course in waiting:
-            course.proposals.append(_proposal(course, batch, simulator))
-            course.parts.append(_simulate(course.fit, _draw(course, batch, samples, seed, simulator), batch, simulator))
-            course.drawn += 1
-            course.fit = _judge(course.fit, course.proposals[-1], course.parts[-1])
+        for state in waiting:
+            state.proposals.append(_proposal(state, batch, simulator))
+            state.parts.append(_simulate(state.fit, _draw(state, batch, samples, seed, simulator), batch, simulator))
+            state.drawn += 1
+            state.fit = _judge(state.fit, state.proposals[-1], state.parts[-1])
         if progress:
             progress(f"draws: round {number}, " + ", ".join(f"{c.fit.model} {c.fit.trust}" for c in waiting))
         if refit:
-            _fit_again(waiting, courses, batch, simulator, child(seed, "refit", number), progress)
-        ahead = _ahead([course.fit for course in courses], drop_behind)
+            _fit_again(waiting, states, batch, simulator, child(seed, "refit", number), progress)
+        ahead = _ahead([state.fit for state in states], drop_behind)
         waiting = [c for c in waiting if not c.parts or (c.refused and len(c.parts) < rounds and c.fit.model in ahead)]
-    return replace(assimilation, fits=tuple(course.fit for course in courses))
+    return replace(assimilation, fits=tuple(state.fit for state in states))
 
 
 def _fit_again(
-    drawn: list[_Course],
-    courses: list[_Course],
+    drawn: list[_State],
+    states: list[_State],
     batch: ExperimentBatch,
     simulator: Simulator,
     seed: int,
     progress: Progress | None,
 ) -> None:
-    """Take lower minima that the last round's draws of some of the courses came upon in place of their fits."""
-    best = min(course.fit.cost for course in courses)
-    possible = [course for course in drawn if course.refits < _REFITS]
-    points = [lower_point(course.fit, best, batch, simulator) for course in possible]
-    doubtful = [(course, point) for course, point in zip(possible, points, strict=True) if point is not None]
+    """Replace fits by fits to lower minima that draws of the last round found."""
+    best = min(state.fit.cost for state in states)
+    possible = [state for state in drawn if state.refits < _REFITS]
+    points = [lower_point(state.fit, best, batch, simulator) for state in possible]
+    doubtful = [(state, point) for state, point in zip(possible, points, strict=True) if point is not None]
     if not doubtful:
         return
-    fits = [course.fit for course, _ in doubtful]
+    fits = [state.fit for state, _ in doubtful]
     lower = lower_minima(fits, [point for _, point in doubtful], batch, simulator, seed=seed, progress=progress)
-    for course, _ in doubtful:
-        course.refits += 1
-        if course.fit.model in lower:
-            course.fit, course.proposals, course.parts = lower[course.fit.model], [], []
+    for state, _ in doubtful:
+        state.refits += 1
+        if state.fit.model in lower:
+            state.fit, state.proposals, state.parts = lower[state.fit.model], [], []
 
 
-def _proposal(course: _Course, batch: ExperimentBatch, simulator: Simulator) -> Kernels:
+def _proposal(state: _State, batch: ExperimentBatch, simulator: Simulator) -> Kernels:
     """The proposal of the next round: the fit's Gaussian, then its ridge, then one from all its draws so far."""
-    if not course.parts:
-        return Kernels.about(course.fit.mean, course.fit.chol)
-    if len(course.parts) == 1:
-        return trace_ridge(course.fit, batch, simulator)
-    return _again(course.proposals, course.parts)
+    if not state.parts:
+        return Kernels.about(state.fit.mean, state.fit.chol)
+    if len(state.parts) == 1:
+        return trace_ridge(state.fit, batch, simulator)
+    return _again(state.proposals, state.parts)
 
 
 def _ahead(fits: list[ModelFit], drop_behind: float | None) -> set[str]:
-    """Models that are worth further rounds: neither by optimum nor by evidence far behind the best."""
+    """Models that get further rounds: those not far behind the best, neither by cost nor by evidence."""
     if drop_behind is None:
         return {fit.model for fit in fits}
     samples = {fit.model: fit.sample for fit in fits if fit.sample is not None and fit.sample.reliable}
@@ -209,17 +208,17 @@ def _ahead(fits: list[ModelFit], drop_behind: float | None) -> set[str]:
     return near - {model for model, value in evidence.items() if value < most - drop_behind}
 
 
-def _draw(course: _Course, batch: ExperimentBatch, samples: int, seed: int, simulator: Simulator) -> _Draws:
+def _draw(state: _State, batch: ExperimentBatch, samples: int, seed: int, simulator: Simulator) -> _Draws:
     """Draws of the gel, and of the nuisances given the gel; those are placed anew for each gel after the first round."""
-    fit, number = course.fit, len(course.parts)
+    fit, number = state.fit, len(state.parts)
     sure = not bool((batch.nuisance_sds > 0.0).any())
     samples *= 2 ** max(0, number - (1 if sure else 2))
-    source, experiments = generator(child(seed, "weigh", fit.model, course.drawn)), len(batch.experiments)
-    controls = course.proposals[-1].draw(samples, source)
-    lots = torch.rand(samples, experiments, generator=source, dtype=torch.float64)
+    source, experiments = generator(child(seed, "weigh", fit.model, state.drawn)), len(batch.experiments)
+    controls = state.proposals[-1].draw(samples, source)
+    uniforms = torch.rand(samples, experiments, generator=source, dtype=torch.float64)
     if sure:
         still = torch.zeros(samples, 1, experiments, 3, dtype=torch.float64)
-        return _Draws(controls, still, still[..., 0], lots)
+        return _Draws(controls, still, still[..., 0], uniforms)
     uncertain = batch.nuisance_sds > 0.0
     pairs = 1 if number < 2 else _PAIRS
     normal = torch.randn(samples, pairs, experiments, 3, generator=source, dtype=torch.float64)
@@ -236,7 +235,7 @@ def _draw(course: _Course, batch: ExperimentBatch, samples: int, seed: int, simu
     square = torch.where(uncertain, noise.square(), 0.0).sum(-1)
     log_proposal = log_proposal + student_log_prob(square, uncertain.sum(1), _FREEDOM)
     log_det = chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)[:, None]
-    return _Draws(controls, nuisances, log_prior - log_proposal - log_det, lots)
+    return _Draws(controls, nuisances, log_prior - log_proposal - log_det, uniforms)
 
 
 def _standard_log_prob(values: Tensor) -> Tensor:
@@ -257,7 +256,7 @@ def _integrate(draws: _Draws, likelihood: Tensor) -> _Round:
     weights = likelihood + draws.log_ratio
     by_experiment = torch.logsumexp(weights, dim=1) - math.log(weights.shape[1])
     share = torch.softmax(weights.flip(1).nan_to_num(neginf=-1e300), 1).cumsum(1)[:, :-1]
-    kept = weights.shape[1] - 1 - (draws.lots[:, None] >= share).sum(1)
+    kept = weights.shape[1] - 1 - (draws.uniforms[:, None] >= share).sum(1)
     kept = draws.nuisances.gather(1, kept[:, None, :, None].expand(-1, 1, -1, 3))[:, 0]
     return _Round(draws.controls, by_experiment, kept)
 

@@ -1,4 +1,4 @@
-"""Is the inference right on average? Gels drawn from the prior, measured in simulation, inferred, and compared."""
+"""Simulation-based calibration: gels drawn from the prior, simulated, inferred, and compared with the truth."""
 
 from imr_torch.calibration.replicate import Arrangement, Infer, Replicate, calibrate
 from imr_torch.calibration.statistics import (

@@ -1,10 +1,10 @@
-"""Simulation-based calibration: draw a model and a gel from the prior, shoot it, infer it, and ask where the truth came to lie.
+"""Simulation-based calibration: draws a model and a gel from the prior, simulates data, infers, and ranks the truth.
 
-If prior, likelihood and computation agree, the place of the truth among draws of its posterior is uniform, whatever the
-data (Talts et al., arXiv 1804.06788, 2018; with the log likelihood as a further quantity: Modrak et al., Bayesian Anal. 20,
-2025), and a model that is given probability P is the true one in a share P of all cases. In goes an arrangement, out comes
-a :class:`Replicate` for each gel, which :mod:`imr_torch.calibration.statistics` judges. The inference is the toolkit's own or
-any function from data to draws (Hamiltonian Monte Carlo, a neural posterior).
+If prior, likelihood and computation agree, the place of the truth among draws of its posterior is uniform, whatever the data
+(Talts et al., arXiv 1804.06788, 2018; with the log likelihood as a further quantity: Modrak et al., Bayesian Anal. 20, 2025),
+and a model that is given probability P is the true one in a share P of all cases. From an arrangement follows a
+:class:`Replicate` for each gel, which :mod:`imr_torch.calibration.statistics` judges. The inference is the toolkit's own or any
+function from data to draws (Hamiltonian Monte Carlo, a neural posterior).
 """
 
 import math
@@ -45,7 +45,7 @@ Infer = Callable[[ExperimentBatch, str, int], Tensor]
 
 @dataclass(frozen=True)
 class Arrangement:
-    """What is calibrated.
+    """The prior, designs and inference that are calibrated.
 
     Args:
         prior: belief before the data, from which truths are drawn.
@@ -53,8 +53,8 @@ class Arrangement:
         plan: how they are observed.
         samples: weighed draws of each model and round.
         options: how gels are fitted, and by which method.
-        learn: what the inference is given of the experiments; the data with their own noise when not given. For inferences
-            that are wrong, to see that this is found, or know less.
+        learn: what the inference is given of the experiments; the data with their own noise when not given. Lets a
+            wrong inference be tested, or one with less information.
         noise_rounds: how often the inference estimates the noise from its residuals.
 
     >>> from imr_torch import wide_prior
@@ -75,7 +75,7 @@ class Arrangement:
 
 @dataclass(frozen=True)
 class Replicate:
-    """What became of one gel.
+    """The result of one simulated gel: ranks of the truth, probabilities and diagnostics.
 
     Args:
         number: of the replicate.
@@ -90,7 +90,7 @@ class Replicate:
         verdict: on the Gaussian answer of the true model.
         pareto_k: of its weights.
         effective_samples: of them.
-        converged: whether every model's fit carries a clean certificate.
+        converged: whether every model's fit converged.
         redrawn: gels before this one that could not be simulated.
         failure: why there is no inference, and nothing of the above; None if there is.
         seconds: processor time.
@@ -182,14 +182,14 @@ def _ranked(arrangement: Arrangement, truth: _Truth, seed: int, infer: Infer) ->
             f"infer returned draws of shape {tuple(draws.shape)} for {truth.model}; expected n x {len(part.names)} finite "
             f"numbers in the order {', '.join(part.names)}, SI."
         )
-    lots = torch.rand(len(part.names), generator=generator(child(seed, "lots")), dtype=torch.float64)
+    uniforms = torch.rand(len(part.names), generator=generator(child(seed, "lots")), dtype=torch.float64)
     below = (draws < part.physical(part.unwhitened(truth.gel))).double().sum(0)
-    places = (below + lots) / (len(draws) + 1.0)
+    places = (below + uniforms) / (len(draws) + 1.0)
     return Replicate(0, truth.model, reported=dict(zip(part.names, places.tolist(), strict=True)), converged=True)
 
 
 def _inferred(arrangement: Arrangement, truth: _Truth, seed: int, simulator: Simulator) -> Replicate:
-    """What the toolkit's own inference makes of one gel."""
+    """Result of the toolkit's own inference on one gel."""
     batch = _data(arrangement, truth)
     try:
         fitted = assimilate_estimating_noise(
@@ -206,7 +206,7 @@ def _inferred(arrangement: Arrangement, truth: _Truth, seed: int, simulator: Sim
         return Replicate(0, truth.model, failure=str(error))
     fit = result[truth.model]
     sample, names, reported = _sample(fit), fit.prior.names, fit.posterior
-    lots = torch.rand(len(truth.gel) + 1, generator=generator(child(seed, "lots")), dtype=torch.float64).tolist()
+    uniforms = torch.rand(len(truth.gel) + 1, generator=generator(child(seed, "lots")), dtype=torch.float64).tolist()
     z = (truth.gel - fit.mean) / torch.linalg.norm(fit.chol, dim=1)
     z_reported = (fit.prior.unwhitened(truth.gel) - reported.mean) / torch.linalg.norm(reported.chol, dim=1)
     above = truth.gel - sample.controls
@@ -214,9 +214,9 @@ def _inferred(arrangement: Arrangement, truth: _Truth, seed: int, simulator: Sim
         number=0,
         model=truth.model,
         gaussian=dict(zip(names, torch.special.ndtr(z).tolist(), strict=True)),
-        weighed={name: _place(sample, above[:, i] > 0.0, lots[i]) for i, name in enumerate(names)},
+        weighed={name: _place(sample, above[:, i] > 0.0, uniforms[i]) for i, name in enumerate(names)},
         reported=dict(zip(names, torch.special.ndtr(z_reported).tolist(), strict=True)),
-        log_likelihood=_likelihood_place(fit, result, truth, simulator, lots[-1]),
+        log_likelihood=_likelihood_place(fit, result, truth, simulator, uniforms[-1]),
         z=dict(zip(names, z.tolist(), strict=True)),
         probabilities=update(result, evidences(result)).probabilities,
         information=information(result),
@@ -227,14 +227,14 @@ def _inferred(arrangement: Arrangement, truth: _Truth, seed: int, simulator: Sim
     )
 
 
-def _likelihood_place(fit: ModelFit, result: Assimilation, truth: _Truth, simulator: Simulator, lot: float) -> float | None:
+def _likelihood_place(fit: ModelFit, result: Assimilation, truth: _Truth, simulator: Simulator, uniform: float) -> float | None:
     """Share of the draws whose log likelihood is below the truth's; None where nuisances are uncertain."""
     posterior = Posterior(fit.prior, result.batch, simulator)
     if len(posterior.uncertain):
         return None
     prediction = posterior.predict(Point(truth.gel, posterior.still()))
     own, sample = float(result.batch.log_likelihood(prediction).sum()), _sample(fit)
-    return _place(sample, sample.by_experiment.sum(1) < own, lot)
+    return _place(sample, sample.by_experiment.sum(1) < own, uniform)
 
 
 def _draw(arrangement: Arrangement, seed: int, simulator: Simulator) -> _Truth:
@@ -270,14 +270,18 @@ def _sample(fit: ModelFit) -> ImportanceSample:
     return fit.sample
 
 
-def _place(sample: ImportanceSample, below: Tensor, lot: float) -> float:
-    """Share of a posterior below the truth, which is taken for one more effective draw, ``lot`` of it below itself."""
+def _place(sample: ImportanceSample, below: Tensor, uniform: float) -> float:
+    """Rank of the truth in a posterior, between 0 and 1, uniform if the inference is calibrated.
+
+    The weight of the draws below the truth, with the truth counted as one more effective draw: the fraction ``uniform`` of its
+    weight, a uniform random number, counts as below.
+    """
     count = sample.effective_samples
-    return (count * float(sample.weights @ below.double()) + lot) / (count + 1.0)
+    return (count * float(sample.weights @ below.double()) + uniform) / (count + 1.0)
 
 
 def information(result: Assimilation) -> float:
-    """What data taught, nats: the Kullback-Leibler divergence of the posterior over models and gels from the prior.
+    """Information gained, nats: the Kullback-Leibler divergence of the posterior over models and gels from the prior.
 
     Its mean over data is the expected information gain of the experiment (Lindley, Ann. Math. Stat. 27, 1956).
 

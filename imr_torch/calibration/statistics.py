@@ -1,7 +1,7 @@
-"""Judging replicates: uniformity with its p-values, coverage with its interval, reliability of probabilities, rank correlation.
+"""Statistics of calibration: tests of uniformity, coverage of intervals, reliability of probabilities, rank correlation.
 
-In go numbers that are uniform if an inference is calibrated, or probabilities and what came true; out come statistics with
-what chance leaves open, so that "calibrated" and "not" are both statements that the number of replicates supports.
+Each takes numbers that are uniform if an inference is calibrated, or probabilities and outcomes, and returns a statistic with
+its uncertainty, so that "calibrated" and "not" are both statements that the number of replicates supports.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ from torch import Tensor
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.random import generator
 
-_EDGE = 1e-12  # where a Gaussian's tail has run out of digits
-_FEWEST = 5  # expected in a bin for chi-square to be what it is named after
+_EDGE = 1e-12  # where the Gaussian tail is below float64 precision
+_FEWEST = 5  # expected in a bin for the chi-square approximation to hold
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def reliability(
         stated: probability of each case.
         true: whether it came true.
         bins: of equal width.
-        resamples: for the bootstrap, and for what chance makes of the error.
+        resamples: for the bootstrap, and for the error expected by chance.
         seed: of both.
 
     Raises:

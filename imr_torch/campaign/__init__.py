@@ -1,4 +1,4 @@
-"""Stage 7, do it again: ask, experiment, assimilate, select, and the journal that remembers all of it."""
+"""Stage 7, campaigns: sequences of choosing a design, measuring and inference, recorded in a journal."""
 
 from imr_torch.campaign.journal import Journal
 from imr_torch.campaign.learners import ExactLearner, Inference, Learner, Observations, PaperLearner

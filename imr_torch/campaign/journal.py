@@ -1,7 +1,7 @@
 """An append-only journal: one JSON line per event, flushed to disk before the campaign goes on.
 
-Measured curves are stored beside it as ``.npz`` (no pickles) and the line holds their SHA-256. A torn last line, as a power
-cut leaves it, is recognised and cut off when the journal is opened again; everything before it is kept.
+Measured curves are stored beside it as ``.npz`` (no pickles) and the line holds their SHA-256. An incomplete last line, as a
+power cut leaves it, is recognised and cut off when the journal is opened again; everything before it is kept.
 """
 
 import hashlib

@@ -1,7 +1,7 @@
-"""How a campaign learns from its experiments: as Bayes' rule has it, or as was published.
+"""Inference from the experiments of a campaign: by Bayes' rule from all data, or by the published method.
 
-:class:`ExactLearner` starts from the prior at every step and uses every curve of every experiment once, so Gaussian
-approximations do not pile up. :class:`PaperLearner` is the method of arXiv 2409.00011, kept to compare with: it assimilates
+:class:`ExactLearner` starts from the prior at every step and uses every curve of every experiment once, so errors of Gaussian
+approximations do not accumulate. :class:`PaperLearner` is the method of arXiv 2409.00011, kept to compare with: it assimilates
 one design at a time with a tempered misfit, multiplies the result into the belief it started from, and averages model
 probabilities over designs.
 """
@@ -32,7 +32,7 @@ from imr_torch.types import Progress
 
 @dataclass(frozen=True)
 class Observations:
-    """What there is to learn from.
+    """All that a learner may use: prior, present belief and experiments.
 
     Args:
         prior: belief before the first experiment.
@@ -60,7 +60,7 @@ class Observations:
 
 @dataclass(frozen=True)
 class Inference:
-    """What was learnt.
+    """What a learner returns: the belief after the experiments, and what the journal records.
 
     Args:
         belief: after all experiments.
@@ -84,7 +84,7 @@ class Inference:
 
 
 class Learner(Protocol):
-    """Turns experiments into a belief; a frozen dataclass.
+    """Infers a belief from experiments; a frozen dataclass.
 
     >>> from imr_torch.campaign import CampaignSettings, ExactLearner, Learner
     >>> learner: Learner = ExactLearner()
@@ -93,19 +93,19 @@ class Learner(Protocol):
     """
 
     def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
-        """The belief after all experiments, a function of the observations alone."""
+        """Infer the belief after all experiments; a function of the observations alone."""
         ...
 
 
 @dataclass(frozen=True)
 class ExactLearner:
-    """All data with their own likelihood, the prior once, and evidence.
+    """Inference from the original prior and all data at once, with their own likelihood, and evidence by importance sampling.
 
     Args:
         samples: importance samples of each model and round, for evidence and moments.
         options: how gels are fitted, and by which method: :class:`imr_torch.assimilate.SearchOptions` or
             :class:`imr_torch.assimilate.En4DVarOptions`.
-        noise_rounds: how often the noise is estimated from the residuals of all experiments, as measured curves want it; with 0
+        noise_rounds: how often the noise is estimated from the residuals of all experiments, as measured curves need; with 0
             it is as planned.
 
     >>> from imr_torch.campaign import CampaignSettings, ExactLearner
@@ -197,5 +197,5 @@ def product(first: ModelBelief, second: ModelBelief) -> ModelBelief:
 
 
 def finite(values: dict[str, Any]) -> dict[str, Any]:
-    """Numbers that are not finite as None, since JSON has no word for them."""
+    """Numbers that are not finite as None, since JSON cannot represent them."""
     return {k: (None if isinstance(v, float) and not math.isfinite(v) else v) for k, v in values.items()}

@@ -1,4 +1,4 @@
-"""The campaign: ask for a design, tell what was measured, learn, and ask again.
+"""Campaigns: repeated choice of a design, measurement and inference, resumable from a journal.
 
 What to shoot is a policy's choice (:mod:`~imr_torch.campaign.policies`), what is learnt a learner's
 (:mod:`~imr_torch.campaign.learners`), and when to end a rule's (:mod:`~imr_torch.campaign.stopping`). Everything that is
@@ -75,7 +75,7 @@ def _described(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Step:
-    """What one experiment taught.
+    """The state after one experiment: belief, evidence and fits.
 
     Args:
         number: from 1.
@@ -179,7 +179,7 @@ class Campaign:
 
     @property
     def belief(self) -> Belief:
-        """What is thought of the gel now."""
+        """The present belief."""
         return self.steps[-1].belief if self.steps else self.prior
 
     @property
@@ -190,7 +190,7 @@ class Campaign:
 
     @property
     def _learnt(self) -> int:
-        """Experiments that the present belief knows of."""
+        """Number of experiments that the present belief includes."""
         return self.steps[-1].number if self.steps else 0
 
     def reason_to_stop(self, proposal: Proposal | None = None) -> str | None:

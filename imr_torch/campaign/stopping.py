@@ -1,7 +1,7 @@
-"""When to stop shooting: small rules that say why, alone or combined.
+"""Rules that end a campaign, alone or combined; each gives its reason.
 
 A rule looks at what is believed and what was done, and answers with a reason or with None. ``AnyOf`` and ``AllOf`` combine
-rules; a rule about the gain of the next experiment holds its tongue until a policy has estimated it.
+rules; a rule about the gain of the next experiment gives none while that gain has not been estimated.
 """
 
 import math
@@ -15,10 +15,10 @@ from imr_torch.observe import Experiment
 
 @dataclass(frozen=True)
 class Standing:
-    """Where a campaign stands before its next experiment.
+    """The state of a campaign before its next experiment, as stopping rules see it.
 
     Args:
-        belief: what is thought of the gel now.
+        belief: the present belief.
         experiments: all that were told.
         gain: expected information gain of the experiment that is proposed, nats; None when not known.
 
@@ -26,7 +26,7 @@ class Standing:
     >>> from imr_torch.campaign import GainBelow, Standing
     >>> now = Standing(wide_prior(["nhkv"]), experiments=(), gain=0.4)
     >>> GainBelow(0.5).reason(now)
-    'the next design is expected to tell less than 0.5 nats'
+    'the expected information gain of the next design is below 0.5 nats'
     """
 
     belief: Belief
@@ -130,7 +130,7 @@ class ModelProbability:
 
 @dataclass(frozen=True)
 class GainBelow:
-    """Stop when the best next experiment is expected to tell little.
+    """Stop when the expected information gain of the next experiment is small.
 
     Args:
         nats: least expected information gain worth an experiment.
@@ -138,7 +138,7 @@ class GainBelow:
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import GainBelow, Standing
     >>> GainBelow(nats=0.5).reason(Standing(wide_prior(["nhkv"]), experiments=(), gain=0.4))
-    'the next design is expected to tell less than 0.5 nats'
+    'the expected information gain of the next design is below 0.5 nats'
     """
 
     nats: float
@@ -151,15 +151,15 @@ class GainBelow:
         """See :class:`StoppingRule`."""
         if standing.gain is None or standing.gain >= self.nats:
             return None
-        return f"the next design is expected to tell less than {self.nats:g} nats"
+        return f"the expected information gain of the next design is below {self.nats:g} nats"
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Stop when the next experiment, as dear as the last, would cost more than there is.
+    """Stop when the next experiment, at the cost of the last, would exceed the budget.
 
     Args:
-        total: what there is, in any unit.
+        total: the budget, in any unit.
         per_design: cost of setting up a design.
         per_curve: cost of each repeat.
 
@@ -205,7 +205,7 @@ class AnyOf:
     >>> from imr_torch.campaign import AnyOf, Designs, GainBelow, Standing
     >>> rule = AnyOf((Designs(10), GainBelow(0.5)))
     >>> rule.reason(Standing(wide_prior(["nhkv"]), experiments=(), gain=0.4))
-    'the next design is expected to tell less than 0.5 nats'
+    'the expected information gain of the next design is below 0.5 nats'
     """
 
     rules: tuple[StoppingRule, ...]

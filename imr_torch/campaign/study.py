@@ -83,7 +83,7 @@ class Study:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How far a seed came.
+    """The result of running one seed.
 
     Args:
         seed: which.

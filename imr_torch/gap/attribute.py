@@ -1,11 +1,11 @@
-"""Which effect causes the gap: evidence over equivalence classes, none and other, and whether the winner is enough.
+"""Attribution of the gap: evidence of each effect, of none and of an unknown one, and the adequacy of the best.
 
-All effects are fitted in one batch, from two starts or, where an effect has several minima, from more; one that the best has
-left behind rests as soon as what it may still reach lags. (Scores at the null fit rank small effects well and large ones
-badly, so they only choose from where to start.) The evidence is that of the Gaussian approximation. A closed library always
-names somebody, so the winner must also be adequate: the gap test at its own fit gives ``p_ad``, and "other" is weighed by
-how often an unknown effect hides behind one or two known ones, and by the bound of Sellke, Bayarri & Berger (Am. Stat. 55,
-2001) on what it could gain, ``1/(-e p ln p)``.
+All effects are fitted in one batch, from two starts or, where an effect has several minima, from more; one is discarded once it
+cannot come within 6 nats of the best. (Scores at the null fit rank small effects well and large ones badly, so they only choose
+from where to start.) The evidence is that of the Gaussian approximation. A closed library always has a best effect, so that
+must also be adequate: the gap test at its own fit gives ``p_ad``, and the probability of "other" follows from how often one or
+two known effects fit the data of an unknown one, and by the bound of Sellke, Bayarri & Berger (Am. Stat. 55, 2001) on what it
+could gain, ``1/(-e p ln p)``.
 """
 
 import math
@@ -40,10 +40,10 @@ _FIT = SearchOptions(starts=2, iterations=30, drop_behind=6.0, basin_rounds=0, p
 
 @dataclass(frozen=True)
 class Attribution:
-    """What the data say about causes.
+    """Fits, evidence and probabilities of all causes.
 
     Args:
-        fits: hypothesis -> fit, ``"none"`` among them; one that was left behind is not converged.
+        fits: hypothesis -> fit, ``"none"`` among them; one that was discarded is not converged.
         log_evidence: hypothesis -> nats.
         posterior: hypothesis -> probability, with ``"none"`` and ``"other"``; those not fitted to the end are far behind.
         families: class -> probability, effects that are the same to first order summed.
@@ -73,7 +73,7 @@ class Attribution:
 
 @dataclass(frozen=True)
 class Inquiry:
-    """What is asked: which of some effects a base model lacks, by some data.
+    """The attribution problem: a base model, candidate effects and data.
 
     Args:
         base: the base model's prior.
@@ -102,7 +102,7 @@ def attribute(
     with_: Sequence[Effect] = (),
     progress: Progress | None = None,
 ) -> Attribution:
-    """Refit the effects and weigh them.
+    """Fit all effects and compute their probabilities.
 
     Args:
         inquiry: base model, effects and data.
@@ -130,7 +130,7 @@ def attribute(
 def reconsider(inquiry: Inquiry, found: Attribution, effect: Effect, beside: ModelFit, *, seed: int) -> Attribution:
     """The attribution of a first effect again, once another was found beside its winner: is that one better alone?
 
-    One with several minima (the moment of a pulse) may be found only where another effect has taken the most.
+    An effect with several minima (the moment of a pulse) may be found only beside another effect that explains most.
 
     Args:
         inquiry: base model, effects and data.
@@ -173,12 +173,12 @@ def _judged(
 
 @dataclass(frozen=True)
 class Adequacy:
-    """Whether anything is left at a fit that the library or the generic blocks can see.
+    """The gap test at a fit that includes effects: whether anything is left unexplained.
 
     Args:
         test: the gap test there.
         starts: from where each effect that the fit does not hold would start.
-        line: the fit's neighbourhood.
+        line: local sensitivities at the fit.
         directions: what each of those effects changes there (:func:`imr_torch.gap.score.effect_directions`).
     """
 
@@ -233,6 +233,6 @@ def _odds_of_other(p_adequate: float, *, two: bool) -> float:
     """Odds of an effect that is not in the library against what is, one or ``two`` of whose effects leave ``p_adequate``."""
     one_alone, two_at_once = PRIOR_OTHER / (1.0 - PRIOR_OTHER), PRIOR_OTHER * (1.0 - _MASKED) / PRIOR_TWO
     masked = two_at_once * _MASKED_BY_TWO if two else one_alone * _MASKED
-    p = max(p_adequate, 1e-300)  # one that underflowed
+    p = max(p_adequate, 1e-300)  # may have underflowed
     bound = -math.e * p * math.log(p) if p < 1.0 / math.e else 1.0
     return masked / max(bound, 1e-12)

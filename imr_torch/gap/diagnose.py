@@ -1,6 +1,6 @@
 """The whole diagnosis in order: null fit, gap test, location, attribution, shrinkage, next design.
 
-Each step is usable alone; this runs them, stops where a step has nothing to build on, and says so. No verdict is given
+Each step is usable alone; this runs them, stops where a step lacks what it needs, and says so. No verdict is given
 without converged fits.
 """
 
@@ -34,13 +34,13 @@ _FURTHER = 3.0  # nats that an effect must explain to count as more than nothing
 
 @dataclass(frozen=True)
 class GapReport:
-    """What a diagnosis found.
+    """Result of a diagnosis: the gap test, the causes and the verdict.
 
     Args:
         batch: the data, with their noise.
         null: the base model's fit.
         gap: the gap test at that fit.
-        line: that fit's neighbourhood.
+        line: local sensitivities at that fit.
         directions: what each effect changes there, whitened: name -> ``S x N``.
         attribution: causes, if the test finds a gap: of the last effect selected if all are enough together, else of the first.
         adequacy_p: of all effects that were selected together; None where none was.
@@ -75,12 +75,12 @@ class GapReport:
 
     @property
     def found(self) -> bool:
-        """Whether there is a gap: the test says so, of a sound fit, and the evidence of the causes does not take it back."""
+        """Whether there is a gap: the test at a converged fit rejects, and the evidence of causes agrees."""
         return self.gap.found and self.null.certificate.converged and self.verdict != "none"
 
     @property
     def converged(self) -> bool:
-        """Whether the fits that the verdict stands on carry clean certificates."""
+        """Whether the fits that the verdict is based on have converged."""
         sound = self.null.certificate.converged
         if self.attribution is not None:
             sound &= self.attribution.fits[self.attribution.winner].certificate.converged
@@ -161,7 +161,7 @@ def diagnose(
 def impatient(simulator: Simulator) -> Simulator:
     """The simulator, with few steps if it is polytropic.
 
-    Those bubbles take explicit steps, which crawl where a gel relaxes at once; no fit worth having ends there.
+    Explicit steps become very short where the relaxation time of a gel is short; good fits do not end there.
     """
     if isinstance(simulator, ParallelSimulator):
         alike = copy(simulator)
@@ -175,7 +175,7 @@ def impatient(simulator: Simulator) -> Simulator:
 
 @dataclass(frozen=True)
 class _Finding:
-    """A verdict, with the attribution that it rests on."""
+    """A verdict, with the attribution that it is based on."""
 
     verdict: str
     cause: tuple[str, ...]
@@ -185,7 +185,12 @@ class _Finding:
 
 
 def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed: int, progress: Progress | None) -> _Finding:
-    """Select effects one after the other until they are adequate; name them, their class, or nobody."""
+    """Forward selection of effects until the fit is adequate, and the verdict that follows.
+
+    Each round adds the effect of largest evidence beside those chosen. If the gap test at that fit no longer rejects, the
+    effects (or the class that the data do not tell apart) are the cause; if none is adequate, the cause is "other", or
+    undecided where the last fit has not nearly converged.
+    """
     chosen: tuple[Effect, ...] = ()
     fit, test, starts = null, left.test, left.starts
     first: Attribution | None = None
@@ -197,7 +202,7 @@ def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed
         if chosen and gained < _FURTHER:
             break
         if first is None and found.posterior["none"] >= _NO_GAP:
-            return _taken_back(found, left.test)
+            return _not_confirmed(found, left.test)
         first, further = first or found, bool(chosen)
         chosen = (*chosen, next(e for e in inquiry.effects if e.name == found.winner.split("+")[-1]))
         fit, starts, test = found.fits[found.winner], found.next_starts, found.adequacy
@@ -210,10 +215,10 @@ def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed
         return _name(chosen, found, families)
     assert first is not None
     nearest, explained = " and ".join(effect.name for effect in chosen), laplace_evidence(fit) - laplace_evidence(null)
-    if not fit.certificate.all_but_found:  # one that is needs no further digits: they could not make it adequate
+    if not fit.certificate.nearly_converged:  # a nearly converged fit would not become adequate by converging further
         reason = (
             f"No effect of the library was found to be enough, but the fit with {nearest} did not converge "
-            f"({explained:.0f} nats better than the base; adequacy p = {test.p_value:.2g}); what is left may be its doing."
+            f"({explained:.0f} nats better than the base; adequacy p = {test.p_value:.2g}), which may be why."
         )
         return _Finding("undecided", (), reason, first, test.p_value)
     if explained < _FURTHER:
@@ -227,8 +232,8 @@ def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed
     return _Finding("other", (), reason, first, test.p_value)
 
 
-def _taken_back(found: Attribution, test: GapTest) -> _Finding:
-    """No gap after all: the test rejects by chance now and then, and then no effect explains much."""
+def _not_confirmed(found: Attribution, test: GapTest) -> _Finding:
+    """Verdict "none" although the test rejects: it does so by chance at its level, and then no effect explains much."""
     reason = (
         f"A test rejects the base model (p = {test.p_value:.2g}), but no effect of the library explains enough: the base model "
         f"alone keeps a probability of {found.posterior['none']:.2f}."
@@ -237,7 +242,7 @@ def _taken_back(found: Attribution, test: GapTest) -> _Finding:
 
 
 def _name(chosen: tuple[Effect, ...], found: Attribution, families: Mapping[str, str]) -> _Finding:
-    """An adequate cause: alone if it is sure, else the class of those that the data do not tell apart."""
+    """The verdict on an adequate cause: one effect if it is probable enough, else the class that the data do not tell apart."""
     before, adequacy = tuple(effect.name for effect in chosen[:-1]), found.adequacy.p_value
     if not found.fits[found.winner].certificate.converged:
         return _Finding("undecided", (*before, chosen[-1].name), "The leading effect's fit did not converge.", found, adequacy)

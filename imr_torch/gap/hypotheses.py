@@ -1,4 +1,4 @@
-"""Hypotheses of a diagnosis: the base model alone, or with one or more effects freed, each a model of one belief.
+"""Hypotheses of a diagnosis and their fits: the base model alone, or with one or more effects freed.
 
 A hypothesis is the base model's prior with the effects' priors beside it, so everything that fits, weighs or designs for
 models does so for causes. Fits of effects start at the null fit, with the effect at each of its starts.
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, assimilate
-from imr_torch.assimilate.fit import ALL_BUT, ONE_MINIMUM
+from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM
 from imr_torch.material import PARAMETERS, Belief, Effect, Marginal, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
@@ -86,13 +86,13 @@ class Hypothesis:
 def fit_null(
     base: ModelBelief, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None = None
 ) -> ModelFit:
-    """The base model with nuisances, from several starts, with its certificate, which is for the caller to read.
+    """The base model with nuisances, from several starts, with its certificate, which the caller must check.
 
     Where there are repeats the search begins with polytropic bubbles, which are far cheaper; the simulator's own fits start
-    from their best and from perturbed copies of it. Where these do not converge, scouts search; and so they do for single
-    curves, which leave Rmax and time zero so uncertain that a fit may slip into a collapse between the wrong frames.
+    from their best and from perturbed copies of it. Where these do not converge, the search starts from prior draws, as for
+    single curves, which leave Rmax and time zero so uncertain that a fit may place a collapse between the wrong frames.
     A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals, is taken up again; where
-    starts arrived and disagree, more of them are sent out.
+    converged starts disagree, more of them are made.
     """
     enough = SearchOptions().gradient
     fit = _search_null(base, batch, simulator, seed=seed, progress=progress)
@@ -163,7 +163,7 @@ def fit_hypotheses(
         progress: called with one line per iteration.
 
     Returns:
-        Name of the hypothesis -> fit, whose certificate is for the caller to read.
+        Name of the hypothesis -> fit, whose certificate the caller must check.
     """
     rows = [h.starts(null, (starts or {}).get(h.effects[-1].name)) for h in hypotheses]
     beliefs = tuple(h.belief for h in hypotheses)
@@ -185,15 +185,16 @@ def fit_hypotheses(
 def finish(
     fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None = None
 ) -> ModelFit:
-    """A fit that was cut short, taken up where it ended and from beside it.
+    """Continue a fit that was cut short, from where it ended and from a point beside it.
 
-    A start beside it may end in another valley. The certificate then is that of the starts before, if they were all but there.
+    The second start may end in another local minimum. The agreement in the certificate is then that of the earlier starts, if
+    they had nearly converged.
     """
     options = SearchOptions(starts=2)
     near = as_assimilation(fit, batch)
     found = assimilate(near.prior, batch, simulator, seed=seed, options=options, near=near, warn=False, progress=progress)
     ended = found.fits[0]
-    if fit.certificate.gradient < ALL_BUT and abs(fit.cost - ended.cost) < ONE_MINIMUM:
+    if fit.certificate.gradient < NEARLY and abs(fit.cost - ended.cost) < ONE_MINIMUM:
         return _certified(ended, fit.certificate.agreement, options)
     return ended
 

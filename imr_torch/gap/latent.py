@@ -1,4 +1,4 @@
-"""Which term: a latent pressure in the far field that would explain the residual (weak-constraint 4D-Var).
+"""Estimate of a far-field pressure that would explain the residual (weak-constraint 4D-Var).
 
 The Keller-Miksis balance is given a pressure ``w(t*)`` (over p_inf) that is the same in all experiments, with a Gaussian
 process prior (Matern 3/2), and it is estimated together with everything that was fitted; its size and its correlation time
@@ -58,7 +58,7 @@ def latent_pressure(
 
     Args:
         fit: the base model's fit.
-        line: its neighbourhood.
+        line: local sensitivities at the fit.
         batch: the data.
         simulator: makes the bubbles, one a knot and experiment.
         knots: times at which the pressure is estimated.

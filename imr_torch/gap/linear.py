@@ -1,8 +1,8 @@
-"""The neighbourhood of a fit: residual, fitted directions and test directions, whitened and side by side.
+"""Local sensitivities at a fit: the residual and its derivatives in all that was fitted, whitened.
 
-At a fit everything that was fitted (gel, effects, nuisances, each with its prior) spans a space of directions in which a
-residual says nothing. A test direction counts by what of it is left beside them. Data and priors are stacked as rows of unit
-variance: ``r ~ N(0, 1 - Q Q^T)`` if the model is right.
+At a fit everything that was fitted (gel, effects, nuisances, each with its prior) spans a space of directions in which the
+residual has been fitted away. Of a test direction only the part orthogonal to them counts. Data and priors are stacked as rows
+of unit variance: ``r ~ N(0, 1 - Q Q^T)`` if the model is right.
 """
 
 from collections.abc import Sequence
@@ -101,7 +101,7 @@ def curves(
 
 
 def linearise(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
-    """The neighbourhood of a fit, by differences of bubbles that take the same solver steps."""
+    """Local sensitivities at a fit, by finite differences of bubbles that take the same solver steps."""
     posterior = Posterior(fit.prior, batch, simulator)
     near = posterior.neighbourhood(fit.point)
     columns, experiments, sd = posterior.uncertain, len(batch.experiments), batch.sd(near.centre)

@@ -1,10 +1,10 @@
-"""Where does the gap lie: when in the event it begins, and in which experiments.
+"""Location of the gap: when in the event it begins, and in which experiments.
 
-*When*: refit on the frames up to a moment and test; the first moment that rejects is the onset, because frames before an
-effect acts know nothing of it, whereas the residual of a fit to all frames is spread over them by the fit. *Which*: the same
-test on one design at a time, and the drift of the parameters over designs: a trend in We (which fixes the size and so the
-rate) points to rate or size, one in R_inf* to stretch or gas, none to what is alike everywhere. Goes in: a fit and its
-neighbourhood. Refits are linear (:mod:`imr_torch.gap.restrict`).
+*When*: refit on the frames up to a moment and test; the first moment that rejects is the onset, because frames before an effect
+acts are free of it, whereas the residual of a fit to all frames is spread over them by the fit. *Which*: the same test on one
+design at a time, and the drift of the parameters over designs: a trend in We (which fixes the size and so the rate) points to
+rate or size, one in R_inf* to stretch or gas, none to what is alike everywhere. Refits are linear about the fit
+(:mod:`imr_torch.gap.restrict`).
 """
 
 import math
@@ -120,7 +120,7 @@ def onset(
 
     Args:
         fit: the base model's fit.
-        line: its neighbourhood.
+        line: local sensitivities at the fit.
         batch: the data.
         simulator: makes the bubbles.
         seed: of the residuals drawn for the calibration.
@@ -212,7 +212,7 @@ def by_experiment(
 
     Args:
         fit: the base model's fit.
-        line: its neighbourhood.
+        line: local sensitivities at the fit.
         batch: the data.
         simulator: makes the bubbles.
         seed: of the residuals drawn for the calibration.

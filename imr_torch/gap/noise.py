@@ -1,4 +1,4 @@
-"""Observation noise of real traces, of which there is one each: from how rough they are.
+"""Observation noise of single measured curves, estimated from their frame-to-frame roughness.
 
 A frame is compared with the cubic through its two neighbours on either side, which removes what a smooth curve does between
 frames and keeps what the camera adds. Two amounts are taken from that: a constant part (pixels), which rules where the bubble
@@ -6,7 +6,7 @@ is large and slow, and a multiple of the published law (light, shape, clock), wh
 them in the published proportion, and noise that is too small anywhere makes a false gap. Roughness shows only the part of the
 noise that changes from frame to frame; repeats of public records differ by deviations that last 0.14 to 0.4 in t*. So the
 noise is taken as correlated, with the amounts at which it would look as rough as the traces do, and with no less than repeats
-of public records differ by, which no roughness shows where a camera's records are smooth. Where frames are too few to tell, it
+of public records differ by, which no roughness shows where a camera's records are smooth. Where frames are too few, it
 is no less than the published law.
 """
 

@@ -1,4 +1,4 @@
-"""A diagnosis as one HTML file that needs nothing else: the words of the report, with each figure inside as an image.
+"""A diagnosis as one self-contained HTML file: the text of the report, with each figure embedded as an image.
 
 Nothing is fetched and nothing runs, so the file can be mailed and kept. Figures have alternative texts and captions, headings
 are in order, and the words say all that the figures show.
@@ -123,7 +123,7 @@ def _pictures(report: GapReport, parts: Parts) -> list[Picture]:
         _before_and_after(report),
         _picture(
             gap,
-            "Tests of the base model's residual. Longer is more telling; beyond the dashed line a test alone shows a gap.",
+            "Tests of the base model's residual: longer bars are smaller p; beyond the dashed line one test shows a gap.",
             f"Bar chart of {len(report.gap.blocks)} tests; the longest bar is {report.gap.blocks[0].name}.",
             lambda: plots.plot_scores(report.gap),
         ),
@@ -131,7 +131,7 @@ def _pictures(report: GapReport, parts: Parts) -> list[Picture]:
             where,
             "Residual of the base model by experiment and phase; 1 is noise alone. Where a residual sits is not where its "
             "cause acts, because the fit spreads it.",
-            _loudest(report),
+            _largest(report),
             lambda: plots.plot_phase_residual(fit, batch),
         ),
     ]
@@ -171,7 +171,7 @@ def _picture(section: str, caption: str, alt: str, draw: Callable[[], Axes]) -> 
     return Picture(section, caption, alt, figure)
 
 
-def _loudest(report: GapReport) -> str:
+def _largest(report: GapReport) -> str:
     values = plots.phase_rms(report.null, report.batch).nan_to_num()
     row, column = divmod(int(values.argmax()), values.shape[1])
     label = report.batch.experiments[row].label

@@ -1,6 +1,6 @@
-"""What a diagnosis may add to its verdict: where the gap lies, how far it shrinks on designs held out, what to shoot next.
+"""Optional parts of a diagnosis: location of the gap, its reduction on held-out designs, and the next design.
 
-Each part is optional: a report says of one that was not run that it was not.
+A part that was not run is None, and the report lists it as not run.
 """
 
 from collections.abc import Sequence
@@ -55,7 +55,7 @@ def examine(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Parts:
-    """All parts that a report allows: none where there is no gap, or where the base model's fit cannot be leant on.
+    """All parts that a report allows: none where there is no gap, or where the base model's fit has not converged.
 
     Args:
         report: the diagnosis.

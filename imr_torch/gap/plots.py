@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: where the residual sits, what rejects the model, when, what pressure, which cause, before and after.
+"""Figures of a diagnosis: residuals, tests, onset, latent pressure, causes, and fits without and with the cause.
 
 Every ``plot_*`` draws into ``ax`` (a new figure when None) and returns the axes; nothing is shown or saved here. Colours are
 told apart by colour-blind readers, and what matters is also written.
@@ -58,7 +58,7 @@ def phase_rms(fit: ModelFit, batch: ExperimentBatch) -> Tensor:
 
 
 def plot_phase_residual(fit: ModelFit, batch: ExperimentBatch, *, ax: Axes | None = None) -> Axes:
-    """Where the residual of a fit sits: a map over experiments and phases, 1 being noise alone."""
+    """Size of the residual of a fit: a map over experiments and phases, 1 being noise alone."""
     values = phase_rms(fit, batch)
     ax = _axes(ax, (5.8, 1.4 + 0.36 * len(values)))
     top = max(3.0, float(values.nan_to_num().max()))
@@ -74,7 +74,7 @@ def plot_phase_residual(fit: ModelFit, batch: ExperimentBatch, *, ax: Axes | Non
 
 
 def plot_scores(test: GapTest, *, ax: Axes | None = None) -> Axes:
-    """P-values of the blocks of a gap test, most telling first, with the power of those that have an amplitude."""
+    """P-values of the blocks of a gap test, smallest first, with the power of those that have an amplitude."""
     shown = test.blocks[:_BARS]
     ax = _axes(ax, (6.4, 1.0 + 0.27 * len(shown)))
     strength = [_strength(b.p_value) for b in shown]

@@ -1,10 +1,10 @@
-"""What an effect leaves in the data after the gel has been refitted, beyond first order.
+"""The change of the data by an effect that remains after a refit of the gel, beyond first order.
 
-A gel takes back most of what an effect does: it shifts the collapses until they fit again. Projecting the fitted directions
-off a change of tens of standard deviations takes it back to first order only, and the second-order rest, which a real refit
-would not leave, hides or passes for what is left. So the gel (with the nuisances) is moved by the linear refit that takes the
-change back, the effect is simulated beside it, and the rest is taken from there, twice if it gets smaller. A change of
-hundreds of standard deviations (a strong stiffening) still leaves several times what a real refit does.
+A refit of the gel compensates most of what an effect does, since it shifts the collapses back. Projecting the fitted directions
+off a change of tens of standard deviations compensates to first order only, and the second-order part, which a refit would not
+leave, is as large as what remains. So the gel (with the nuisances) is moved by the linear refit that compensates the change,
+the effect is simulated beside it, and the rest is taken from there, twice if it gets smaller. A change of hundreds of standard
+deviations (a strong stiffening) still leaves several times what a real refit does.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 
 _ROUNDS = 2
-_FARTHEST_GEL, _FARTHEST_NUISANCE = 1.0, 15.0  # prior sd of a move: beyond lie gels and clocks that cost much and tell nothing
+_FARTHEST_GEL, _FARTHEST_NUISANCE = 1.0, 15.0  # prior sd of a move: farther gels cost much and are uninformative
 
 
 def refitted_directions(
@@ -37,7 +37,7 @@ def refitted_directions(
         fit: the fit at which it was.
         batch: the data.
         simulator: makes the bubbles.
-        line: the fit's neighbourhood.
+        line: local sensitivities at the fit.
         directions: name -> ``S x N``, whitened changes at each start (:func:`imr_torch.gap.score.effect_directions`).
 
     Returns:

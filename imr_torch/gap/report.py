@@ -1,7 +1,7 @@
-"""A diagnosis in plain words and as JSON: is there a gap, where, which cause, how far it shrinks, and what is not said.
+"""A diagnosis as text and as JSON: the gap, its location, its cause, its reduction, and what was not tested.
 
-The page in words is a list of headed sections; the printed text and the HTML page are two settings of the same list. What a
-part that was not run would have said is listed under what the report refuses to say, with the reason.
+The report is a list of sections, each a heading with sentences; the printed text and the HTML page show the same list. What was
+not tested or cannot be concluded is a section of its own, with the reasons.
 """
 
 import math
@@ -39,7 +39,7 @@ class Section:
 
 
 def describe(report: GapReport, parts: Parts | None = None) -> str:
-    """The page in plain words.
+    """The report as text.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -60,7 +60,7 @@ def describe(report: GapReport, parts: Parts | None = None) -> str:
 
 
 def sections(report: GapReport, parts: Parts | None = None) -> list[Section]:
-    """What a diagnosis found, as headed sentences in the order of the questions."""
+    """The report as sections, in the order of the questions."""
     parts = parts or Parts()
     return [
         Section("Verdict", (headline(report), report.reason)),
@@ -70,8 +70,8 @@ def sections(report: GapReport, parts: Parts | None = None) -> list[Section]:
         Section("How far does it shrink?", _shrinkage(report, parts)),
         Section("What does it do to the parameters?", _shift(report)),
         Section("What to measure next?", _next(report, parts)),
-        Section("What is not said, and why", _refusals(report, parts)),
-        Section("Can the fits be leant on?", _certificates(report)),
+        Section("Not tested, and why", _not_tested(report, parts)),
+        Section("Have the fits converged?", _certificates(report)),
     ]
 
 
@@ -93,13 +93,13 @@ def _gap(report: GapReport) -> tuple[str, ...]:
     test = report.gap
     if not report.null.certificate.converged:
         return ("No verdict: the base model's fit did not converge, and an unconverged fit looks exactly like a gap.",)
-    found = "Yes" if report.found else "A hint, no more" if test.found else "None that shows"
+    found = "Yes" if report.found else "By the test, but not by the evidence" if test.found else "None found"
     lines = [
         f"{found}: {_p(test.p_value)}, of the smallest of {len(test.blocks)} directed tests, calibrated with data drawn "
         "under the fitted base model.",
-        f"Size: {test.bias_sigma:.2f} standard deviations of a single shot (rms), {test.bias_radius:.4f} in R*, beside what "
-        "the fitted parameters hide of it.",
-        "Tests that speak loudest: " + "; ".join(f"{b.name} ({_p(b.p_value)}{_power(b)})" for b in test.blocks[:_BLOCKS]) + ".",
+        f"Size: {test.bias_sigma:.2f} standard deviations of a single shot (rms), {test.bias_radius:.4f} in R*, without the "
+        "part that the fitted parameters absorb.",
+        "Smallest p-values: " + "; ".join(f"{b.name} ({_p(b.p_value)}{_power(b)})" for b in test.blocks[:_BLOCKS]) + ".",
     ]
     known = [b for b in test.blocks if b.name in LIBRARY and not math.isnan(b.power)]
     hidden = [b for b in known if b.power < _BLIND]
@@ -159,23 +159,25 @@ def _where(report: GapReport, parts: Parts) -> tuple[str, ...]:
         change = f"change{'' if len(drifting) > 1 else 's'} over the event; any missing effect does that, so it names no cause."
         lines.append(f"Fitted to a moving window, {', '.join(drifting)} {change}" if drifting else _STEADY)
     if parts.latent is not None:
-        lines.append(f"Latent pressure: {parts.latent.log_bayes:.0f} nats over none. {parts.latent.caveat}")
+        lines.append(
+            f"Latent pressure: {parts.latent.log_bayes:.0f} nats of log evidence over no pressure. {parts.latent.caveat}"
+        )
     return tuple(lines) or (_unlocated(report),)
 
 
 def _unlocated(report: GapReport) -> str:
     if not report.null.certificate.converged:
-        return "Not looked for, because the base model's fit did not converge."
-    return "Not run." if report.found else "There is nothing to locate."
+        return "Not tested, because the base model's fit did not converge."
+    return "Not run." if report.found else "Not tested, because no gap was found."
 
 
 def _causes(report: GapReport) -> tuple[str, ...]:
     found = report.attribution
     if found is None:
         return (
-            "Not asked, because there is no gap to explain."
+            "Not tested, because there is no gap to explain."
             if report.verdict == "none"
-            else "Not asked, for lack of a sound fit.",
+            else "Not tested, because the base model's fit did not converge.",
         )
     ranked = sorted(found.posterior.items(), key=lambda item: -item[1])[:_CAUSES]
     lines = [
@@ -190,7 +192,7 @@ def _causes(report: GapReport) -> tuple[str, ...]:
 def _shrinkage(report: GapReport, parts: Parts) -> tuple[str, ...]:
     found, causes = parts.shrinkage, report.attribution
     if found is None or causes is None:
-        return ("Not computed." if fit_of_cause(report) else "No cause is named, so nothing is added that could shrink it.",)
+        return ("Not computed." if fit_of_cause(report) else "No cause is named, so no reduction was computed.",)
     lines = [f"On designs that the fits did not see, the gap is {found.word(causes.adequacy.p_value)} by {found.effect}."]
     for name, (low, median, high) in found.shrinkage.items():
         rival = " (the best rival)" if name == found.rival else ""
@@ -231,7 +233,7 @@ def _shift(report: GapReport) -> tuple[str, ...]:
     shift = parameter_shift(report)
     if shift is None:
         if report.verdict == "none":
-            return ("No cause is added, so nothing moves.",)
+            return ("No cause is added, so the parameters do not change.",)
         return ("Without a named cause the fitted parameters are biased by an unknown amount: do not quote them.",)
     assert report.attribution is not None
     lines = [f"With {report.attribution.winner} added:"]
@@ -251,13 +253,13 @@ def _next(report: GapReport, parts: Parts) -> tuple[str, ...]:
         weber, rest = found.design.tolist()
         lines.append(
             f"We = {weber:.0f}, R_inf* = {rest:.3f} tells {', '.join(found.causes)} apart best: {found.gain:.2f} +- "
-            f"{found.error:.2f} nats of the {found.entropy:.2f} that are open."
+            f"{found.error:.2f} nats of the {found.entropy:.2f} still open between them."
         )
     lines += [f"{name} is easily mistaken for: {LIBRARY[name].confused}." for name in report.cause if name in LIBRARY]
-    return tuple(lines) or ("No cause is in question, so no design is asked to tell causes apart.",)
+    return tuple(lines) or ("Not computed, because there are no causes to tell apart.",)
 
 
-def _refusals(report: GapReport, parts: Parts) -> tuple[str, ...]:
+def _not_tested(report: GapReport, parts: Parts) -> tuple[str, ...]:
     lines = []
     if report.verdict == "other":
         lines.append("What kind of effect it is: guesses at a family of an unknown effect are right in a third of cases.")
@@ -268,7 +270,7 @@ def _refusals(report: GapReport, parts: Parts) -> tuple[str, ...]:
     if report.verdict == "none":
         lines.append("That the model is right: effects listed as probably missed may be there.")
     if report.attribution is not None:
-        lines.append("Anything about effects that were not offered, but for their sum under 'other'.")
+        lines.append("Effects that were not offered: only their sum has a probability, under 'other'.")
     if report.found and parts.shrinkage is None:
         lines.append("How far the gap shrinks on new designs: no shrinkage on held-out designs was computed.")
     if report.found and parts.onset is None:
@@ -283,7 +285,9 @@ def _certificates(report: GapReport) -> tuple[str, ...]:
         lines.append(f"{report.attribution.winner}: {fits[report.attribution.winner].certificate}.")
         loose = [name for name, fit in fits.items() if not fit.certificate.converged and name != report.attribution.winner]
         if loose:
-            lines.append(f"Rivals whose fits are loose, so that their probabilities are lower bounds: {', '.join(loose)}.")
+            lines.append(
+                f"Other causes whose fits did not converge, so that their probabilities are lower bounds: {', '.join(loose)}."
+            )
     return tuple(lines)
 
 

@@ -1,9 +1,9 @@
-"""A fit's neighbourhood seen through some frames only: linear refits, and tests of what such a refit leaves.
+"""Linear refits to some of the frames, and tests of the residual that such a refit leaves.
 
 Leaving frames out changes neither the curves nor their sensitivities, only which rows count; the priors always do. So every
-"refit on a part of the data" in locating a gap is one small least-squares problem on rows that are there already, in place of
-a nonlinear search. That is first order in the distance between the two fits; :func:`moved` takes the linearisation there when
-it matters. The smallest p-value over many tests is calibrated with residuals drawn under the fitted model, as in
+"refit on a part of the data" in locating a gap is one small least-squares problem on rows that are there already, in place of a
+nonlinear search. That is first order in the distance between the two fits; :func:`moved` takes the linearisation there when it
+matters. The smallest p-value over many tests is calibrated with residuals drawn under the fitted model, as in
 :mod:`imr_torch.gap.score`.
 """
 
@@ -32,10 +32,10 @@ def kept_rows(line: Linearisation, frames: Tensor) -> Tensor:
 
 
 def restrict(line: Linearisation, frames: Tensor) -> Linearisation:
-    """The same neighbourhood with the rows of all other frames set to zero.
+    """The same sensitivities with the rows of all other frames set to zero.
 
     Args:
-        line: a fit's neighbourhood.
+        line: local sensitivities at a fit.
         frames: ``E x T`` boolean tensor, frames that stay. With correlated noise a frame stands for what it adds to the
             frames before it.
     """
@@ -44,7 +44,7 @@ def restrict(line: Linearisation, frames: Tensor) -> Linearisation:
 
 
 def refit(line: Linearisation) -> tuple[Tensor, Tensor]:
-    """The linear refit to the rows of a neighbourhood.
+    """The linear refit to the rows of a linearisation.
 
     Returns:
         ``k`` tensor, the shift of everything that was fitted (gel controls, then nuisances), and the ``k x N`` matrix that
@@ -54,11 +54,11 @@ def refit(line: Linearisation) -> tuple[Tensor, Tensor]:
 
 
 def moved(fit: ModelFit, line: Linearisation, shift: Tensor, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
-    """The neighbourhood of the point that a linear refit leads to.
+    """Local sensitivities at the point that a linear refit leads to.
 
     Args:
         fit: the fit that ``line`` is of.
-        line: its neighbourhood, for when the new point cannot be simulated.
+        line: local sensitivities there, returned when the new point cannot be simulated.
         shift: ``k`` tensor from :func:`refit`.
         batch: the data.
         simulator: makes the bubbles.
@@ -77,7 +77,7 @@ def log_p(part: Linearisation, frames: Tensor, directions: Mapping[str, Tensor],
     """Log p-values of what a refit to some frames leaves, in several directions and in all (chi-square).
 
     Args:
-        part: a neighbourhood restricted to ``frames``.
+        part: a linearisation restricted to ``frames``.
         frames: ``E x T`` boolean tensor.
         directions: name -> whitened rows ``k x N``, tested together.
         drawn: ``B x N`` tensor from :func:`draw_residuals`.

@@ -1,10 +1,10 @@
-"""Is there a gap? Directed score tests on the residual of a fit, each in a few directions beside those fitted.
+"""Test for a gap: directed score tests on the residual of a fit, each in a few directions orthogonal to those fitted.
 
-A chi-square over all frames is nearly blind to a small effect, because it asks in every direction at once. A block asks in
-the few directions in which something definite would show: each effect of the library at a finite step, a law of the state
-that nobody has named, pressure pulses, parameters that change in time or between designs, distortions of the output. The
-smallest p-value over the blocks is calibrated against residuals drawn under the fitted model (Rao's score test; parametric
-bootstrap: Davison & Hinkley, Bootstrap Methods and their Application, 1997, section 4.2).
+A chi-square over all frames is nearly blind to a small effect, because it tests all directions at once. A block tests the few
+directions in which something definite would show: each effect of the library at a finite step, a generic law of the state,
+pressure pulses, parameters that change in time or between designs, distortions of the output. The smallest p-value over the
+blocks is calibrated against residuals drawn under the fitted model (Rao's score test; parametric bootstrap: Davison & Hinkley,
+Bootstrap Methods and their Application, 1997, section 4.2).
 """
 
 import math
@@ -39,7 +39,9 @@ _LAWS = (
 )  # of the generic closure, and coefficients at which its directions are taken
 STATE_LAW = "a law of the state"
 """Name of the block of the generic closure."""
-_SMALL = 0.05  # amplitude of a first start, over the effect's own: so near the null fit that it cannot end above it
+_SMALL = (
+    0.05  # amplitude of a first start, over the effect's own: so near the null fit that a descent from it cannot end above it
+)
 _TYPICAL = (0.5, 1.5)  # bounds of that of a second
 _LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones to be tested
 
@@ -72,7 +74,7 @@ class BlockResult:
 
 @dataclass(frozen=True)
 class GapTest:
-    """The verdict of all blocks.
+    """The result of all blocks together.
 
     Args:
         p_value: of the smallest block p-value, calibrated for the number of blocks.
@@ -110,13 +112,13 @@ def promising_starts(effect: Effect, rows: Tensor, line: Linearisation) -> tuple
     Where the data are sharp a start of typical size is far above the null fit, and may end there; a fit only descends, so
     one that starts beside the null fit ends below it. An effect whose slope vanishes at its neutral value is not seen from
     near it, so one more start, of the size that the residual asks for, suits an effect of one parameter. One with a shape
-    (the frequency and phase of a sound field, say) has a minimum for each, and what looks best from here need not be: all
-    its starts are taken.
+    (the frequency and phase of a sound field, say) has a minimum for each, and the most promising by this test need not be
+    the best: all its starts are taken.
 
     Args:
         effect: the effect.
         rows: ``S x N`` tensor from :func:`effect_directions`.
-        line: the fit's neighbourhood.
+        line: local sensitivities at the fit.
     """
     left = line.project(rows)
     square = left.square().sum(1).clamp_min(1e-300)
@@ -190,7 +192,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
 
     Args:
         blocks: what to ask for; a block with no direction left is passed over.
-        line: the fit's neighbourhood.
+        line: local sensitivities at the fit.
         seed: of the residuals drawn under the fitted model.
     """
     tested = [b for b in blocks if b.directions.shape[1]]
@@ -204,7 +206,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     smallest = logs.amin(0)
     count = int((smallest[1:] <= smallest[0]).sum())
     bonferroni = min(1.0, len(ranks) * math.exp(float(smallest[0])))
-    # beyond the bootstrap's reach Bonferroni's bound is the honest figure
+    # p-values that the bootstrap cannot resolve: Bonferroni's bound
     p_value = (1 + count) / (1 + _BOOTSTRAP) if count else min(bonferroni, 1.0 / (1 + _BOOTSTRAP))
     threshold = float(smallest[1:].quantile(LEVEL).exp())
     results = [

@@ -1,6 +1,6 @@
-"""How far the gap shrinks once an effect is added: everything fitted on some designs, judged on others.
+"""Reduction of the gap by an effect, cross-validated: all fits use some designs, and are judged on the others.
 
-In sample almost any effect closes most of a gap, so each design is predicted from fits that did not see it. With the mean
+In sample almost any effect closes most of a gap, so each design is predicted from fits to other designs. With the mean
 curve ``y`` of ``n`` repeats, single-shot noise ``sigma`` and held-out prediction ``f``,
 
     D = mean((y - f)^2 / sigma^2 - 1/n),        S = 1 - D_effect / D_base,
@@ -29,10 +29,12 @@ from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 _BOOTSTRAP = 2000
-_APART = 0.03  # prior standard deviations between the starts of a training fit: many posterior ones, and inside one valley
+_APART = (
+    0.03  # prior standard deviations between the starts of a training fit: many posterior ones, and inside one local minimum
+)
 _STEPS = 2  # Gauss-Newton steps for the nuisances of a held-out design
 _ADEQUATE = 0.01
-_WIDEST = 2.0  # size of S beyond which the base leaves next to nothing to shrink
+_WIDEST = 2.0  # size of S beyond which the base leaves almost no gap to reduce
 _OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0, polish=False)  # .05 nats: below training noise
 _NONE = "none"
 
@@ -145,7 +147,7 @@ def shrinkage(
     """Judge an effect, its base and a rival on designs that their fits did not see.
 
     Up to five designs are held out one by one; of more, a quarter at a time, so that each is held out once. Searches start at
-    the fits to all designs, and end where the training designs alone want them.
+    the fits to all designs, and end at the optimum of the training designs alone.
 
     Args:
         effect: the base model with the effect (or effects) to judge.

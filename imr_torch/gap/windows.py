@@ -1,10 +1,10 @@
-"""Apparent parameters over the event: each fitted to the frames of a moving window only.
+"""Apparent parameters over the event, each fitted to the frames of a moving window only.
 
 If constant parameters are right, windows agree within their uncertainty; if anything is amiss they drift. That is how Chu et
 al. (2026, arXiv 2606.13584) follow gels through a collapse, with an iterative ensemble Kalman smoother and multiple data
 assimilation; here each window is a Gauss-Newton fit from the common fit, every bubble still starting at its maximum at t* = 0.
-It says that constants fail and when; it names no cause, since any unmodelled effect makes parameters drift. A view beside the
-others and a baseline, not a verdict.
+It shows whether and when constant parameters fail, but no cause, since any unmodelled effect makes parameters drift. It is a
+baseline for comparison, and no part of the verdict.
 """
 
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ def moving_windows(
 
     Args:
         fit: the fit to all frames, from which each window starts.
-        line: its neighbourhood.
+        line: local sensitivities at the fit.
         batch: the data.
         simulator: makes the bubbles.
         width: of a window, in Rmax/U_c; by default 1, about a first collapse, or half of a record that is shorter than two.

@@ -1,4 +1,4 @@
-"""Belief: what is thought of a gel - the probability of each model, and a (truncated) Gaussian for its parameters.
+"""Belief: the probability of each constitutive model, and a (truncated) Gaussian for the parameters of each.
 
 Prior, ensemble, posterior and model probabilities are this one object. For each model the free parameters are
 ``theta_i = T_i(z_i)`` with the marginals ``T_i`` fixed by the prior, and ``z ~ N(mean, chol chol^T)``; a prior has mean 0
@@ -29,7 +29,7 @@ _QUADRATURE = 64
 
 @dataclass(frozen=True)
 class Cloud:
-    """Draws of a belief that bends more than its Gaussian can, each with the shape that the belief has about it.
+    """Posterior draws of a belief that is curved, so that a Gaussian does not describe it, with the local precision at each.
 
     Args:
         controls: ``n x d`` tensor, of equal weight.
@@ -50,8 +50,8 @@ class ModelBelief:
         mean: ``d`` tensor, controls (dimensionless).
         chol: ``d x d`` lower triangular tensor, Cholesky factor of the control covariance.
         known: values of the model's independently measured parameters, SI.
-        cloud: where the Gaussian has the moments of the belief but not its shape, draws that have; a design that is chosen by
-            the Gaussian would be asked to learn what is known.
+        cloud: posterior draws, where the Gaussian has the moments of the belief but not its shape; from the Gaussian alone,
+            experimental design would expect information that is known already.
 
     >>> from imr_torch import wide_prior
     >>> part = wide_prior(["nhkv"])["nhkv"]

@@ -1,8 +1,8 @@
-"""A generic closure: seven stresses that depend on the state of the bubble, to whose span any local law of a gel is close.
+"""Seven generic stress functions of the bubble's state, whose linear combinations approximate any local stress law.
 
 ``lambda - 1``, ``(lambda - 1)^2``, ``lambda^-3 - 1``, ``lambda^-6 - 1``, ``U``, ``U|U|`` and ``(U/R)|U/R|`` with the stretch
-``lambda = R/R_inf``. They are no model of anything: a gap test asks with them whether a law that nobody has named is missing.
-Coefficients are pressures over ``p_inf``; each does nothing at zero. ``|U|`` is rounded off at small velocities.
+``lambda = R/R_inf``. They model no particular material: the gap test detects with them a missing stress law that is in no
+library. Coefficients are pressures over ``p_inf``; each does nothing at zero. ``|U|`` is rounded off at small velocities.
 """
 
 from imr_torch.elementary import Scalar, sqrt

@@ -1,7 +1,7 @@
-"""Stress laws of gels that are not what a model says: damaged, plastic, graded, or set.
+"""Stress terms for damage, a yield stress, a graded modulus and a permanent set.
 
-Each is a correction to the elastic stress beside it with one number that does nothing at zero, so that it can be put on any
-model and inferred with it. They are closures, chosen to be simple and to act where the effect does, not laws of their own.
+Each is a correction to a model's elastic stress with one parameter, neutral at zero, so that it can be added to any model and
+inferred with it. They are simple closures that act where the effect does, not complete constitutive laws.
 """
 
 from imr_torch.elementary import Scalar, log, sqrt
@@ -9,7 +9,7 @@ from imr_torch.material.elastic import neo_hookean, stiffening
 from imr_torch.material.stress import StressTerm
 
 _SMOOTH = 0.02  # velocity below which |U| and sign(U) are rounded off
-_SLOWEST = 0.1  # shear rate below which a yield stress is not felt
+_SLOWEST = 0.1  # shear rate below which a yield stress is left out
 
 
 def _elastic(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha: Scalar) -> tuple[Scalar, Scalar]:
@@ -30,7 +30,7 @@ def damaged(
 
 
 def yielding(radius: Scalar, velocity: Scalar, rest_radius: Scalar, yield_stress: Scalar) -> tuple[Scalar, ...]:
-    """A stress to overcome: ``S = -2 tau_y sign(U) ln(r_y/R)``, with ``r_y`` where the shear rate falls to a slow one.
+    """A yield stress: ``S = -2 tau_y sign(U) ln(r_y/R)``, with ``r_y`` where the shear rate falls to a slow one.
 
     The shear rate falls as ``r^-3``, so ``ln(r_y/R)`` is a third of the log of the shear rate at the wall over the slow one.
     """
@@ -66,7 +66,7 @@ def graded(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, gra
 def stretched(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha: Scalar, permanent_set: Scalar
 ) -> tuple[Scalar, ...]:
-    """Growth has stretched the gel for good: its elastic stress is referred to ``R_inf (1 + s (1/R_inf - 1))``.
+    """A permanent set from the growth of the bubble: its elastic stress is referred to ``R_inf (1 + s (1/R_inf - 1))``.
 
     The gas is not: it still rests at ``R_inf``. The set grows with the stretch ``1/R_inf`` at the maximum radius.
     """

@@ -14,7 +14,7 @@ register_effect(
         "stress rises faster than the neo-Hookean with stretch",
         "material",
         {"alpha": TruncatedNormal(0.0, 0.5, lower=0.0)},
-        confused="shear modulus; another stretch 1/R_inf* tells",
+        confused="shear modulus; another stretch 1/R_inf* tells them apart",
         needs="G",
     )
 )
@@ -24,7 +24,7 @@ register_effect(
         "viscous stress relaxes within microseconds",
         "material",
         {"tau": TruncatedNormal(0.0, 2e-6, lower=0.0)},
-        confused="viscosity, shear thinning; another We (time scale) tells",
+        confused="viscosity, shear thinning; another We (time scale) tells them apart",
         needs="mu",
     )
 )
@@ -35,7 +35,7 @@ register_effect(
         "material",
         {"thinning": TruncatedNormal(0.0, 0.3, lower=0.0, upper=1.0), "shear_time": LogNormal(1e-5, 5.0)},
         ((0.15, 1e-5), (0.4, 1e-5)),
-        "viscosity, relaxation; another We tells",
+        "viscosity, relaxation; another We tells them apart",
         needs="mu",
     )
 )
@@ -45,7 +45,7 @@ register_effect(
         "the gel softens with accumulated strain",
         "material",
         {"damage": TruncatedNormal(0.0, 0.1, lower=0.0)},
-        confused="rest radius, stiffening; the second collapse tells",
+        confused="rest radius, stiffening; the second collapse tells them apart",
         needs="G",
     )
 )

@@ -1,7 +1,7 @@
 """Prior marginals as maps from a standard normal control variable ``z`` to a physical parameter.
 
 A parameter is written ``theta = T(z)``, and with ``z ~ N(0, 1)`` it has exactly the stated prior. Assimilation works on
-``z``, where bounds do not exist and a Gaussian is a fair picture (Gaussian anamorphosis: Simon & Bertino, Ocean Sci. 5,
+``z``, where bounds do not exist and a Gaussian is a good approximation (Gaussian anamorphosis: Simon & Bertino, Ocean Sci. 5,
 2009). An unbounded normal is the identity up to scale, so nothing is lost where nothing is truncated.
 """
 

@@ -1,4 +1,4 @@
-"""What a camera does to every curve alike: errors common to all experiments, as entries of the parameter vector.
+"""Measurement errors that all experiments share (clock, exposure, refraction), as entries of the parameter vector.
 
 A maximum that was missed, a clock that runs wrong, an exposure that blurs are not nuisances of one experiment but
 departures that a diagnosis must be able to name; so they stand beside the properties of the gel, each with a neutral
@@ -41,7 +41,7 @@ register_effect(
         "the clock starts early or late",
         "measurement",
         {"trigger_offset": TruncatedNormal(0.0, 0.025)},
-        confused="residual velocity: the same to first order; frames before the maximum tell",
+        confused="residual velocity: the same to first order; frames before the maximum tell them apart",
         group="start",
     )
 )

@@ -1,4 +1,4 @@
-"""Experiments as the assimilation sees them: dimensionless curves, each with its own design and times, in one padded batch.
+"""Experiments: dimensionless curves, each with its own design and times, padded to one batch.
 
 An :class:`Experiment` is one design shot once or several times. :class:`ExperimentBatch` pads all of them to a common
 number of frames, so that any number of experiments is one tensor; :func:`predict` says what the camera would see.

@@ -1,4 +1,4 @@
-"""A simulated laboratory: shoots a design at a gel whose properties it keeps to itself, and returns noisy curves."""
+"""A simulated laboratory: noisy R(t) curves of a gel with given true parameters, at any design."""
 
 from dataclasses import dataclass, field
 

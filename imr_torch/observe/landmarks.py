@@ -190,7 +190,7 @@ def _fit_extreme(time: np.ndarray, radius: np.ndarray, noise: float, degree: int
     """Least-squares polynomial and its vertex; None if the vertex is not inside the frames.
 
     The residual variance is pooled with ``noise**2`` (weight ``PRIOR_WEIGHT`` frames), because a few frames cannot
-    tell it, and enlarged where neighbouring residuals agree (edge detection and misfit err smoothly). The value varies
+    determine it, and enlarged where neighbouring residuals agree (edge detection and misfit err smoothly). The value varies
     as the fit at the vertex does (its derivative there is zero); the time as the slope there over the curvature.
     """
     centre, span = 0.5 * (time[0] + time[-1]), 0.5 * (time[-1] - time[0])

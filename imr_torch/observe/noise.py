@@ -1,4 +1,4 @@
-"""How far an observed radius lies from the true one: the published noise law, and one fitted to residuals.
+"""Observation noise of the radius: the published law, and one fitted to residuals.
 
 The law of Chu, Estrada & Bryngelson (arXiv 2409.00011) is ``sigma = |R* - 1|/50 + t*/160``; it vanishes at ``t* = 0``, so
 a floor is added in quadrature. Real residuals are larger and correlated in time, because a fit of a wrong model errs
@@ -14,7 +14,7 @@ from torch import Tensor
 from imr_torch.errors import InputDataError
 
 _CORRELATION_TIMES = (0.0, 0.02, 0.04, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4)
-_FEWEST = 10  # degrees of freedom from which on residuals tell the noise
+_FEWEST = 10  # degrees of freedom from which on residuals determine the noise
 _TIE = 1e-6  # nats; a law without slope and drift has the same likelihood at every floor
 _FLOORS = (1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 16.0, 25.0)  # times the floor of the law, at its scale
 
@@ -103,7 +103,7 @@ def fit_noise(
 
     Returns:
         The law with its ``scale``, ``floor`` and ``correlation_time`` replaced; as it was, where the fit left fewer than ten
-        degrees of freedom, since so few residuals are as small as the fit likes.
+        degrees of freedom, since so few residuals understate the noise.
 
     >>> import torch
     >>> from imr_torch.observe import Noise, fit_noise

@@ -1,7 +1,7 @@
-"""What a laboratory does not know exactly about each of its own experiments: Rmax, time zero, R_inf.
+"""Nuisance parameters of each experiment: errors of the measured Rmax, time zero and R_inf.
 
 Each is a standard normal control per experiment times its prior standard deviation, and neutral at 0: a fit of the gel
-marginalises over them instead of taking a pixel of Rmax for a kilopascal of modulus.
+marginalises over them, so that an error of Rmax is not mistaken for a change of modulus.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Rows of a file on their way to a trace: lost frames still in them, and a record of every row that is left behind."""
+"""Conversion of the rows of a file to a trace: lost frames are dropped, with a record of every row left out."""
 
 from dataclasses import dataclass, field, replace
 

@@ -1,4 +1,4 @@
-"""Radius-time curves as the rest of the toolkit sees them: SI units, float64, checked, nothing silently dropped.
+"""Radius-time curves in SI units and float64, checked, with a list of everything that was left out.
 
 A :class:`RadiusTrace` is one experiment (times and radii of its camera frames, and what the laboratory says about it);
 a :class:`TraceSet` is an ordered collection of them with the list of everything a reader left out, and why.

@@ -40,7 +40,7 @@ class Evidence:
 
     @property
     def trusted(self) -> bool:
-        """Whether value and error can be leant on."""
+        """Whether value and error are reliable."""
         return reliable(self.pareto_k, self.effective_samples, self.samples)
 
 

@@ -1,9 +1,9 @@
-"""Predictive scores: how probable an experiment was that a model had not seen.
+"""Predictive scores: the log density that a model fitted to some experiments gives to held-out ones.
 
-Evidence asks how well prior and model foretold all data, and so depends on the prior's width; a held-out score asks how
-well what was learnt from some experiments foretells the others. Leaving some out of a weighed fit needs no simulation
-while the weights allow it (Pareto-smoothed leave-one-out: Vehtari, Gelman & Gabry, Stat. Comput. 27, 2017, with whole
-experiments for single data); where they do not, the fit is made again without them.
+Evidence measures how well prior and model predict all data, and so depends on the prior's width; a held-out score measures how
+well the posterior given some experiments predicts the others. Leaving some out of a weighed fit needs no simulation while the
+weights allow it (Pareto-smoothed leave-one-out: Vehtari, Gelman & Gabry, Stat. Comput. 27, 2017, with whole experiments for
+single data); where they do not, the fit is made again without them.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Bayes' rule over models: prior odds times evidence, once, with what the Monte Carlo error of the evidence leaves open."""
+"""Model probabilities by Bayes' rule, prior times evidence, with their Monte Carlo error."""
 
 from collections.abc import Sequence
 

@@ -1,8 +1,8 @@
-"""The published model probability, for comparison: which posterior ensemble lies nearer to a typical repeat.
+"""The published model probability, for comparison: the likelihood of a typical repeat averaged over the posterior ensemble.
 
 The log likelihood of each member is *averaged* over repeats, the likelihood then over the members of the posterior (arXiv
-2409.00011 and the code that came with it), so a hundred repeats say no more than one; and a model is not charged for what
-its prior left open, since the members have seen the data. Evidence is in :mod:`imr_torch.select.evidence`.
+2409.00011 and the code that came with it), so a hundred repeats say no more than one; and a wide
+prior is not penalised, since the members have been fitted to the data. Evidence is in :mod:`imr_torch.select.evidence`.
 """
 
 import math

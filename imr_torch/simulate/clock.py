@@ -1,9 +1,9 @@
-"""A clock that slows down at collapse: the Sundman transformation, and output on the laboratory's own times.
+"""Time transformation that resolves collapses (Sundman), and interpolation of the solution to requested times.
 
-Collapses shorten the time scale of a bubble a hundredfold, and in a batch they fall at different moments, so a common
-step in ``t`` serves nobody. With ``dt = g(R, U) d tau`` every member advances by steps of ``tau`` that follow its own
-time scale, and the whole batch is one system for the fixed-step Runge-Kutta method of ``torchdiffeq`` (Sundman, Acta
-Math. 36, 1913). ``t`` becomes a component of the state.
+Collapses shorten the time scale of a bubble a hundredfold, and in a batch they fall at different moments, so a common step in
+``t`` is inefficient for all of them. With ``dt = g(R, U) d tau`` every member advances by steps of ``tau`` that follow its own
+time scale, and the whole batch is one system for the fixed-step Runge-Kutta method of ``torchdiffeq`` (Sundman, Acta Math. 36,
+1913). ``t`` becomes a component of the state.
 """
 
 import torch

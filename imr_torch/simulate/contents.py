@@ -223,7 +223,7 @@ def node_rates(
 class NodeSlopes(NamedTuple):
     """Derivatives of ``tau_t`` and ``C_t`` in their own value, slope and Laplacian, and in R, U, P and q.
 
-    ``tau_t`` hangs on ``tau`` alone; of ``C_t`` in ``tau``, ``coupling`` is the factor of the value, ``coupling_slope`` of
+    ``tau_t`` depends on ``tau`` alone; of ``C_t`` in ``tau``, ``coupling`` is the factor of the value, ``coupling_slope`` of
     ``tau'``.
     """
 

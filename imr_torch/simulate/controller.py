@@ -1,8 +1,8 @@
-"""How long a step may be: an error estimate scaled to what matters, and the usual step-size rule.
+"""Step-size control: a scaled error estimate, and the step length that follows from it.
 
 The scaled errors of ``R``, ``U``, ``ln P``, the gel's memory and of the fields (root mean square, temperatures at a lower
 weight) must stay below the tolerance; steps then change by ``0.8 err^(-1/4)`` (Hairer & Wanner 1996, section IV.8). In
-place of the largest of them stands their 4-norm: as large, within a tenth or two, but smooth, and so are then the steps
+place of the largest of them their 4-norm is used: as large, within a tenth or two, but smooth, and so are then the steps
 as functions of the bubble, which makes derivatives of the discrete solution three times as accurate.
 """
 

@@ -1,8 +1,8 @@
 """Effects of the bubble and of the liquid around it: each with its parameters, priors and physics.
 
-What a calibration cannot know (a sound speed that differs, heat that leaks, a wall nearby) acts here as a number that every
-member of a batch may have of its own, so that it can be inferred like a property of the gel. At zero each does nothing,
-exactly. Effects of the gel's stress are in :mod:`imr_torch.material`; errors of the measurement in :mod:`imr_torch.observe`.
+What a calibration of the experiment does not give (the sound speed, heat loss, a wall nearby) is a parameter of each member of
+a batch, so that it can be inferred like a property of the gel. At zero each does nothing, exactly. Effects of the gel's stress
+are in :mod:`imr_torch.material`; errors of the measurement in :mod:`imr_torch.observe`.
 """
 
 from typing import TYPE_CHECKING
@@ -236,7 +236,7 @@ register_effect(
         "the wall still moves at time zero",
         "driving",
         {"residual_velocity": TruncatedNormal(0.0, 0.05)},
-        confused="trigger offset: the same to first order; frames before the maximum tell",
+        confused="trigger offset: the same to first order; frames before the maximum tell them apart",
         group="start",
         setting=residual_velocity,
     )
@@ -266,7 +266,7 @@ register_effect(
             "sound_phase": TruncatedNormal(0.0, 2.0),
         },
         tuple((0.03, w, p) for w in (0.7, 1.4, 2.1) for p in (0.0, 1.57, 3.14, 4.71)),
-        "damage; a pulse is a sound field of another shape; a hydrophone tells",
+        "damage; a pulse is a sound field of another shape; a hydrophone tells them apart",
         group="sound",
         far_field=sound_field,
     )
@@ -296,7 +296,7 @@ register_effect(
             "pulse_width": TruncatedNormal(-1.5, 0.7),
         },
         tuple((a, t, -1.5) for a in (0.03, -0.03) for t in (0.5, 1.5, 2.5)),
-        "damage; a sound field is a pulse of another shape; a hydrophone tells",
+        "damage; a sound field is a pulse of another shape; a hydrophone tells them apart",
         group="sound",
         far_field=pulse,
     )

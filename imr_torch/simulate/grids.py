@@ -1,4 +1,4 @@
-"""Where the fields live: spectral grids inside and outside the bubble, and second-order grids to compare with.
+"""Grids for the fields inside and outside the bubble: spectral ones, and second-order ones to compare with.
 
 Inside, even Chebyshev collocation on the mapped coordinate ``y = r/R = tanh(beta eta)/tanh(beta)`` resolves the thermal
 boundary layer with some sixteen nodes; outside, Chebyshev on ``y = 1 + L (1 - xi)/(1 + xi)`` reaches to infinity. Central

@@ -53,7 +53,7 @@ def _to_logarithm(border: Tensor, pressure: Tensor, log_rate: Tensor) -> None:
 
 
 def _inside(equations: Equations, f: Fields) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Blocks of ``tau`` and ``C``, their border, and how ``C_t`` hangs on the value and slope of ``tau``."""
+    """Blocks of ``tau`` and ``C``, their border, and how ``C_t`` depends on the value and slope of ``tau``."""
     grid, wall = equations.inside, f.wall
     b, c = equations.bubbles.numbers, equations.bubbles.constants
     s = node_slopes(f.node, f.radius, f.velocity, f.pressure, f.rate, b, c)

@@ -1,9 +1,9 @@
 """Heat and vapour transport through ``torchdiffeq``: ``odeint(field, field.start(), ticks, method=METHOD, rtol=3e-4)``.
 
-A step common to a batch would be dictated by whoever collapses, so every member keeps its own time and step, which are rows of
-the state; the time of ``odeint`` counts *ticks*, steps tried by every member together. What comes back is the whole state
-(temperatures and vapour too) of all members after each tick. Importing this module registers the method. It needs the exact
-Jacobian, so it takes a :class:`TransportField` and nothing else.
+A step common to a batch would be dictated by the member that collapses, so every member keeps its own time and step, which are
+rows of the state; the time of ``odeint`` counts *ticks*, steps tried by every member together. What comes back is the whole
+state (temperatures and vapour too) of all members after each tick. Importing this module registers the method. It needs the
+exact Jacobian, so it takes a :class:`TransportField` and nothing else.
 
 A batch may hold *bundles*: a leader and followers that differ a little from it. All take the leader's steps, so that their
 discretisation errors differ as smoothly as the bubbles do, and differences between them are derivatives of the discrete

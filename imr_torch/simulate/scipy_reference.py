@@ -1,6 +1,6 @@
-"""Bubbles by SciPy, one at a time: the same right-hand sides under an integrator that others wrote and trust.
+"""Bubbles integrated by SciPy, one at a time: the same right-hand sides with an independent integrator.
 
-For tests and for doubters. What differs from :class:`~imr_torch.simulate.TransportSimulator` and
+For verification. What differs from :class:`~imr_torch.simulate.TransportSimulator` and
 :class:`~imr_torch.simulate.PolytropicSimulator` is everything about time: method, step control, Jacobian (SciPy's finite
 differences) and output; and the temperature of the wall, which is solved for inside the right-hand side, so that SciPy
 sees plain ordinary differential equations. With ``Resolution(kind="finite_difference")`` space is cut another way too.

@@ -1,4 +1,4 @@
-"""The simulator's contract: parameters, designs and times in; radii, velocities, pressures and a status out.
+"""The interface of simulators: parameters, designs and times in; radii, velocities, pressures and a status out.
 
 Everything above this stage talks to :class:`Simulator` only, so a simulator with other physics, on another device or in
 another process can take its place. A bubble whose solve fails is data: its status says so and its numbers are NaN.
@@ -63,7 +63,7 @@ _ADVICE = {
 
 @dataclass(frozen=True)
 class Solution:
-    """What a batch of bubbles did.
+    """The solution of a batch of bubbles.
 
     Args:
         times: ``batch_shape x n_t`` tensor, dimensionless (t U_c/Rmax).
@@ -101,7 +101,7 @@ class Solution:
 
 
 class Simulator(Protocol):
-    """Anything that turns gels and designs into bubbles.
+    """Anything that simulates R(t) for gels and designs.
 
     >>> from imr_torch.simulate import PolytropicSimulator, Simulator
     >>> simulator: Simulator = PolytropicSimulator()

@@ -64,8 +64,8 @@ ACCURACIES = {
 }
 """Named settings; their measured errors are in ``benchmarks/RESULTS.md``.
 
-``search`` is the default with little patience, for fits, whose trial points may be absurd: what a gel does up to
-``t* = 4`` takes some 500 steps, and one bubble of thousands would hold up all others."""
+``search`` is the default with fewer steps, for fits, whose trial points may be extreme: a bubble up to
+``t* = 4`` takes some 500 steps, and one with thousands would delay all others."""
 
 
 @dataclass(frozen=True)

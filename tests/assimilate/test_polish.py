@@ -54,7 +54,7 @@ def test_that_a_crawling_fit_arrives_and_would_not_alone(monkeypatch, nuisance: 
     arrived = fitted(batch)
     assert arrived.certificate.converged
     assert float(arrived.mean[1]) == pytest.approx(TURN, abs=0.05)  # the prior pulls
-    monkeypatch.setattr(map_fit, "polish_crawling", lambda searches, _: (searches, False))
+    monkeypatch.setattr(map_fit, "polish_slow", lambda searches, _: (searches, False))
     alone = fitted(batch)
     assert not alone.certificate.converged
     assert alone.cost > arrived.cost + 1.0

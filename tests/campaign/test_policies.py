@@ -165,7 +165,10 @@ def test_a_journal_begun_before_a_setting_existed_says_which(tmp_path):
 def test_a_campaign_stops_before_the_experiment_that_is_not_worth_it_and_says_why(tmp_path):
     run = campaign(tmp_path / "gain", policy=QUICK, stop=GainBelow(1e3))
     assert len(run.run(shoot, 5)) == 0
-    assert Journal(tmp_path / "gain").find("stop", 0)["reason"] == "the next design is expected to tell less than 1000 nats"
+    assert (
+        Journal(tmp_path / "gain").find("stop", 0)["reason"]
+        == "the expected information gain of the next design is below 1000 nats"
+    )
     run = campaign(tmp_path / "sd", stop=RelativeSd(0.03))
     steps = run.run(shoot, 40)
     assert 0 < len(steps) < 40

@@ -15,7 +15,7 @@ module = sys.modules["imr_torch.gap.diagnose"]  # its name in the package is tha
 
 
 def attribution(posterior: dict[str, float], winner: str, *, p_adequate: float = 0.5, converged: bool = True) -> Attribution:
-    fit = SimpleNamespace(certificate=SimpleNamespace(converged=converged, all_but_found=converged))
+    fit = SimpleNamespace(certificate=SimpleNamespace(converged=converged, nearly_converged=converged))
     evidence = dict.fromkeys(["none", winner], 0.0)
     return Attribution(
         {winner: fit}, evidence, posterior, {}, winner, SimpleNamespace(p_value=p_adequate, bias_radius=0.01), {}
