@@ -170,7 +170,7 @@ class ModelFit:
         """Whether the fitted Gaussian has the moments of the posterior.
 
         ``TRUSTED``: importance weights are reliable and confirm its mean and covariance. ``REPAIRED``: they are reliable and
-        give other moments, which two successive rounds of draws agree on. ``REFUSED``: neither.
+        give other moments, which agree with those that the proposal of the last round was made for. ``REFUSED``: neither.
         """
         sample = self.sample
         if sample is None:
