@@ -1,4 +1,4 @@
-"""File formats that others add: what recognises a file, and what reads it.
+"""Registry of further file formats: a function that recognises a file, and one that reads it.
 
 :func:`imr_torch.observe.load_traces` asks these before its own readers of text and MATLAB files.
 """
@@ -22,7 +22,7 @@ class Reader:
             :class:`imr_torch.errors.InputDataError` with file, place, value and remedy where it cannot.
 
     >>> import torch
-    >>> from imr_torch.observe import RadiusTrace
+    >>> from imr_torch.observe import RadiusTrace, Reader, TraceSet
     >>> def read(path):
     ...     time, radius = torch.tensor([[float(x) for x in line.split(";")] for line in path.read_text().split()[1:]]).T
     ...     return TraceSet((RadiusTrace(path.stem, 1e-6 * time, 1e-6 * radius, str(path)),))
@@ -40,7 +40,15 @@ READERS: dict[str, Reader] = {}
 
 
 def register_reader(reader: Reader) -> Reader:
-    """Add a file format; its name must be new."""
+    """Add a file format; its name must be new.
+
+    >>> from imr_torch.observe import Reader, TraceSet, register_reader
+    >>> from imr_torch.observe.readers import READERS
+    >>> reader = Reader("nothing", lambda path, head: head.startswith(b"NOTHING"), lambda path: TraceSet(()))
+    >>> register_reader(reader) is READERS["nothing"]
+    True
+    >>> _ = READERS.pop("nothing")  # undo it here
+    """
     if reader.name in READERS:
         raise InputDataError(f"A reader of the name {reader.name!r} is registered already; give this one another name.")
     READERS[reader.name] = reader
