@@ -1,4 +1,4 @@
-"""Stage 8, model misfit: tests for a gap between model and data, its location, its cause, and what removes it."""
+"""Stage 8, model misfit: tests for a gap between model and data, its location, its cause, and its reduction."""
 
 from imr_torch.gap.diagnose import GapReport, diagnose
 from imr_torch.gap.noise import noise_of_traces

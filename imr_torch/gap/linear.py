@@ -1,7 +1,7 @@
 """Local sensitivities at a fit: the residual and its derivatives in all that was fitted, whitened.
 
 At a fit everything that was fitted (gel, effects, nuisances, each with its prior) spans a space of directions in which the
-residual has been fitted away. Of a test direction only the part orthogonal to them counts. Data and priors are stacked as rows
+fit has absorbed the residual. Of a test direction only the part orthogonal to them counts. Data and priors are stacked as rows
 of unit variance: ``r ~ N(0, 1 - Q Q^T)`` if the model is right.
 """
 

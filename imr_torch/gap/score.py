@@ -39,9 +39,7 @@ _LAWS = (
 )  # of the generic closure, and coefficients at which its directions are taken
 STATE_LAW = "a law of the state"
 """Name of the block of the generic closure."""
-_SMALL = (
-    0.05  # amplitude of a first start, over the effect's own: so near the null fit that a descent from it cannot end above it
-)
+_SMALL = 0.05  # amplitude of a first start over the effect's own: so near the null fit that a descent ends below that
 _TYPICAL = (0.5, 1.5)  # bounds of that of a second
 _LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones to be tested
 

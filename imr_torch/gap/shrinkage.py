@@ -29,9 +29,7 @@ from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 _BOOTSTRAP = 2000
-_APART = (
-    0.03  # prior standard deviations between the starts of a training fit: many posterior ones, and inside one local minimum
-)
+_APART = 0.03  # prior standard deviations between the starts of a training fit: many posterior ones, and inside one basin
 _STEPS = 2  # Gauss-Newton steps for the nuisances of a held-out design
 _ADEQUATE = 0.01
 _WIDEST = 2.0  # size of S beyond which the base leaves almost no gap to reduce

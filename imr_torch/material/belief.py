@@ -250,8 +250,8 @@ class Belief:
     >>> belief = Belief.prior({"nhkv": {"G": LogNormal(5e3, 2.0), "mu": LogNormal(0.1, 3.0)}})
     >>> belief.keys, belief.probabilities
     (('nhkv',), {'nhkv': 1.0})
-    >>> belief.sample(4, seed=0).parameters.shape  # 4 parameter vectors, SI
-    torch.Size([4, 46])
+    >>> [round(x) for x in belief["nhkv"].quantile([0.16, 0.84])[:, 0].tolist()]  # 68 % of G, Pa
+    [2510, 9962]
     """
 
     models: tuple[ModelBelief, ...]
