@@ -1,4 +1,4 @@
-"""Files that are never half written: atomic replacement, and JSON that keeps every bit of a float64."""
+"""Atomic writing of files, and JSON that keeps every bit of a float64."""
 
 import json
 import os
@@ -33,7 +33,7 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 
 
 def write_json(path: str | Path, document: Any) -> None:
-    """Write ``document`` as indented JSON, atomically. Non-finite numbers are refused: JSON has no word for them.
+    """Write ``document`` as indented JSON, atomically. Non-finite numbers are refused, since JSON cannot represent them.
 
     >>> import tempfile
     >>> from pathlib import Path

@@ -1,4 +1,4 @@
-"""The one parameter vector that every stage shares.
+"""The parameter vector that all stages share: names, units, bounds and neutral values.
 
 Each entry has a name, a unit, hard bounds and a *neutral value* at which it does nothing. A constitutive model is a set of
 names; everything else stays neutral, so one batch may mix models. Tensors of parameters have the shape

@@ -1,4 +1,4 @@
-"""Stage 3, the camera: files in, landmarks, noise, and experiments as dimensionless batches."""
+"""Stage 3, observations: reading files, landmarks, noise, and experiments as dimensionless batches."""
 
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment, ExperimentBatch, predict

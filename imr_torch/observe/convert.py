@@ -1,4 +1,4 @@
-"""From a trace in SI units to a dimensionless experiment: Rmax, time zero and R_inf taken from its landmarks.
+"""Conversion of a trace in SI units to a dimensionless experiment: Rmax, time zero and R_inf taken from its landmarks.
 
 What the landmarks do not know exactly becomes the experiment's nuisances, with floors for what no fit sees (pixel size,
 edge detection): 0.3 % of Rmax, 0.004 in t*, 1 % of R_inf.

@@ -1,4 +1,4 @@
-"""What a file means: names, units and scales of its columns or variables, written down once per kind of file.
+"""Description of a file format: names, units and scales of its columns or variables.
 
 Dimensionless times are undone with ``t = t* Rmax sqrt(rho / p_inf)`` (Estrada et al., J. Mech. Phys. Solids 112, 2018).
 """

@@ -1,4 +1,4 @@
-"""Files in, curves out: tables of text and MATLAB files, read by an explicit mapping of their columns or variables.
+"""Reading curves from files: tables of text and MATLAB files, read by an explicit mapping of their columns or variables.
 
 :func:`load_traces` looks at the content of a file, not at its name. A :class:`~imr_torch.observe.layout.Layout` says what
 the file means; without one, the names in the file must select exactly one of ``KNOWN_LAYOUTS``.

@@ -1,4 +1,4 @@
-"""Tables of text: CSV with a header, or bare columns with separator rows, and the JSON that may stand beside them."""
+"""Tables of text: CSV with a header, or bare columns with separator rows, and the JSON file that may accompany them."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""The assimilation window: how far into a record the model is asked to follow the data (two collapses by default)."""
+"""The assimilation window: collapse times of a curve, after which (the second by default) a record is cut."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Stage 5, which model: evidence with its Monte Carlo error, probabilities, and predictive scores beside them."""
+"""Stage 5, model selection: evidence with its Monte Carlo error, probabilities, and predictive scores beside them."""
 
 from imr_torch.select.evidence import Evidence, evidences, log_evidence
 from imr_torch.select.predictive import PredictiveScore, cross_validate, default_folds, predictive_density, sum_over_folds

@@ -1,4 +1,4 @@
-"""What surrounds and fills the bubble: frozen options that check themselves."""
+"""Conditions of an experiment (liquid, bubble contents, gel, radial equation) as frozen options that check themselves."""
 
 import math
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Which engine integrates the bubbles: compiled code, or tensors through ``torchdiffeq``.
+"""Choice of the engine that integrates the bubbles: compiled code, or tensors through ``torchdiffeq``.
 
 ``"compiled"``, the default, integrates one bubble after the other in machine code (:mod:`imr_torch.simulate.compiled`), on
 several processor threads. ``"torchdiffeq"`` integrates whole batches of tensors: on a GPU, with gradients by autograd, and with
