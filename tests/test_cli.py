@@ -67,13 +67,13 @@ def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys
     assert "converged" in capsys.readouterr().out
 
 
-def test_characterize_scores_models_by_curves_foretold_from_the_others(tmp_path, capsys):
+def test_characterize_scores_models_by_held_out_curves(tmp_path, capsys):
     arguments = ["characterize", str(EXAMPLE), "--models", "newtonian,nhkv", "--scores", *QUICK]
     document = tmp_path / "result.json"
     assert main([*arguments, "--experiments", "shot_1,shot_3", "--json", str(document)]) == 0
     scores = json.loads(document.read_text())["scores"]
     assert scores["nhkv"]["value"] > scores["newtonian"]["value"] + 10.0
-    said = capsys.readouterr().out.partition("log density less that of nhkv")[2]
+    said = capsys.readouterr().out.partition("log density relative to nhkv")[2]
     assert said.index("nhkv: 0.0") < said.index("newtonian: -")
 
 

@@ -1,7 +1,7 @@
 # %% [markdown]
 # # Which model?
 # Two questions are easily confused: which of my models do the data support, and is any of them right? Here we fit three
-# constitutive models to the same curves, compare them by evidence and by what they foretell, and read the small print.
+# constitutive models to the same curves, compare them by evidence and by held-out curves, and read the small print.
 
 # %%
 import os
@@ -54,7 +54,7 @@ for e in found:
 print("errors of the probabilities:", {key: round(value, 4) for key, value in errors.items()})
 
 # %% [markdown]
-# ## What each model foretells
+# ## How well each model predicts held-out curves
 # Evidence leans on the prior: make it wider and the larger model loses. A held-out score does not, much: how probable was
 # each experiment, given the others? Reweighing gives it without simulation where the weights allow, a new fit elsewhere.
 # (`imr-torch characterize --scores` does this for your files.)
