@@ -23,7 +23,7 @@ from matplotlib.ticker import MaxNLocator
 from paper_campaigns import PLAN, POLICIES, SEARCH, SIMULATOR, WITHIN, Row, informations, read, study, true_controls
 
 from imr_torch.assimilate import PublishedFit, assimilate_published
-from imr_torch.campaign import PAPER_OPTIMAL, ExactLearner, Harvest, Learner, Optimal, PaperLearner, Situation
+from imr_torch.campaign import PAPER_OPTIMAL, ExactLearner, Learner, Observations, Optimal, PaperLearner, Situation
 from imr_torch.design import DesignSpace, Laplace, PublishedEstimator, gains_of_each
 from imr_torch.files import write_json
 from imr_torch.material import CASES, PARAMETERS, Belief, TruncatedNormal, reference_case
@@ -76,7 +76,7 @@ def shoot(design: tuple[float, float], seed: int, *, scale: float = 1.0) -> Expe
 def learn(learner: Learner, experiment: Experiment, belief: Belief, seed: int, *, scale: float = 1.0) -> Belief:
     """The belief after one experiment."""
     batch = ExperimentBatch((experiment,), replace(PLAN.noise, scale=scale))
-    return learner.learn(Harvest(belief, belief, batch, 1, seed), SIMULATOR).belief
+    return learner.learn(Observations(belief, belief, batch, 1, seed), SIMULATOR).belief
 
 
 def bo(folder: Path) -> None:

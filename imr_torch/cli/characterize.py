@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scores",
         action="store_true",
-        help="also hold curves out and score how well each model foretells them from the others",
+        help="also hold curves out and score how well each model predicts them from the others",
     )
     parser.add_argument(
         "--method",
@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Load, infer, report."""
     if args.each and args.scores:
-        raise InputDataError("--scores foretells curves from others, and --each fits every one alone; leave one of them out.")
+        raise InputDataError("--scores predicts curves from others, and --each fits every one alone; leave one of them out.")
     traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
     if args.experiments:
         traces = traces.select([name.strip() for name in args.experiments.split(",")])
