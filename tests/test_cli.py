@@ -261,7 +261,7 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
         (["characterize", "{file}", "--rest-radius", "wide"], "--rest-radius: 'wide' is not VALUE:VALUE, for example 0.2:0.1"),
         (["characterize", "{file}", "--belief", "{file}"], "not a saved belief"),
         (["characterize", "{file}", "--scores"], "Scores hold curves out, and there is 1; give at least two"),
-        (["characterize", "{file}", "--scores", "--each"], "--scores foretells curves from others, and --each fits every one"),
+        (["characterize", "{file}", "--scores", "--each"], "--scores predicts curves from others, and --each fits every one"),
         (["characterize", "{file}", "--known", "G"], "--known: 'G' is not NAME=NUMBER"),
         (["simulate", "--set", "G=1e4"], "model 'nhkv' has the parameters G, mu; got G"),
         (["simulate", "--set", "G=-5,mu=0.1"], r"Parameter 'G' is -5 Pa; expected a value in \[0, 1e\+07\] Pa"),
