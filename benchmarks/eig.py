@@ -227,7 +227,7 @@ def model() -> list[dict[str, Any]]:
 
         found = {name: part(estimator, 1) for name, estimator in brute.items()}
         found["importance"] = part(ImportanceSampling(draws=256, inner=64), 1)
-        for name, laplace in (("refined", Laplace(32, 32)), ("nearest draw", Laplace(32, 32, refinements=0))):
+        for name, laplace in (("refined", Laplace(32, 32)), ("at a draw", Laplace(32, 32, refinements=0))):
             found[name] = part(laplace, 16)
         rows.append({"design": point} | found)
         print(point, "  ".join(f"{name} {value:.3f} +- {error:.3f}" for name, (value, error) in found.items()), flush=True)

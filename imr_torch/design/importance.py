@@ -16,7 +16,7 @@ from imr_torch.design.drawing import Drawn, draw, mixture, model_weights, normal
 from imr_torch.design.estimator import InformationEstimator, check_at_least
 from imr_torch.design.gain import InformationGain, Terms, summarise
 from imr_torch.design.likelihood import Data, Linear, infer, log_likelihood
-from imr_torch.design.refine import nearest, refine
+from imr_torch.design.refine import best_starts, refine
 from imr_torch.design.response import Response, Shot, radii
 from imr_torch.errors import InputDataError
 from imr_torch.material import ModelBelief
@@ -86,9 +86,9 @@ class _Sampled(InformationEstimator):
         data, own = drawn.data[rows], len(gels)
         start = torch.arange(own)
         if contrastive:
-            start = nearest(data[:own], gels, shot, not_own=True)[0]
+            start = best_starts(data[:own], gels, shot, not_own=True)[0]
         if len(data) > own:
-            start = torch.cat((start, nearest(data[own:], gels, shot)[0]))
+            start = torch.cat((start, best_starts(data[own:], gels, shot)[0]))
         at = refine(data, gels[start], shot, part, self.refinements)
         result.log[rows] = infer(data, at, shot.plan).log_evidence
         close = result.log[rows] > rival[rows] - _BEHIND

@@ -7,7 +7,7 @@ For draws ``v_n`` of the belief with prediction ``f_n`` and sensitivity ``J_n``,
 
 with the evidence of a datum under its own model linearised at its own gel. Under a rival model the gel that explains the datum
 best may be far from all draws, and a linearisation there can be hundreds of nats too low; so it is found by Gauss-Newton
-steps from the nearest draw. These cost more bubbles than all the rest, which is why only some data enter the model part. A
+steps from one of them. These cost more bubbles than all the rest, which is why only some data enter the model part. A
 belief that bends is drawn from its cloud, with its own precision about each draw in the place of 1.
 """
 
@@ -21,7 +21,7 @@ from imr_torch.design.drawing import Drawn, cloud_controls, draw, mixture, model
 from imr_torch.design.estimator import InformationEstimator, check_at_least
 from imr_torch.design.gain import InformationGain, Terms, summarise
 from imr_torch.design.likelihood import Data, Linear, infer
-from imr_torch.design.refine import nearest, refine
+from imr_torch.design.refine import best_starts, refine
 from imr_torch.design.response import Response, Shot
 from imr_torch.material import ModelBelief
 
@@ -38,7 +38,7 @@ class Laplace(InformationEstimator):
         draws: gels per constitutive model that data are made of.
         rivals: data of each model that the model part is estimated from, their evidence under the other models by
             refinement; a quarter of ``draws``, and at least 8, if None. The cost of a belief with several models grows with it.
-        refinements: Gauss-Newton steps to the gel of a rival model; 0 linearises at the nearest draw.
+        refinements: Gauss-Newton steps to the gel of a rival model; 0 linearises at the draw they would start from.
 
     >>> from imr_torch.design import Plan, expected_information_gain
     >>> from imr_torch.material import reference_case
@@ -99,7 +99,7 @@ class Laplace(InformationEstimator):
             part: the model.
         """
         data, gels, shot = _windowed(data, gels, shot)
-        start, log = nearest(data, gels, shot)
+        start, log = best_starts(data, gels, shot)
         if self.refinements == 0:
             return log
         at = refine(data, gels[start], shot, part, self.refinements, close=_CLOSE, both_lengths=False, floor=own - _BEHIND)

@@ -11,11 +11,15 @@ from imr_torch.material import ModelBelief
 
 _LONGEST_STEP = 4.0  # standard deviations of the belief
 _SHORTER = 0.3  # of a step that did not raise the posterior density
+_PER_DISTANCE = 20.0  # nats per square of a standard deviation of the belief
 _SHORTEST = 0.01  # shorter steps are not tried
 
 
-def nearest(data: Data, gels: Response, shot: Shot, *, not_own: bool = False) -> tuple[Tensor, Tensor]:
-    """The gel whose linearised optimum is nearest to itself, for each datum, and the evidence linearised there.
+def best_starts(data: Data, gels: Response, shot: Shot, *, not_own: bool = False) -> tuple[Tensor, Tensor]:
+    """The gel to start a refinement of each datum from, and the evidence linearised there.
+
+    It is the one of largest linearised evidence, less a penalty for the distance to the linearised optimum, which would have
+    to be travelled. The distance alone chooses local minima: there the optimum is near whatever the misfit.
 
     Args:
         data: ``n`` data.
@@ -23,15 +27,15 @@ def nearest(data: Data, gels: Response, shot: Shot, *, not_own: bool = False) ->
         shot: how they are observed.
         not_own: whether row ``i`` of the data is of row ``i`` of the gels, which then is no candidate.
     """
-    logs, moves = [], []
+    logs, scores = [], []
     for k in range(len(gels)):
         linear = infer(data, gels[k : k + 1], shot.plan)
-        move = (linear.mean - gels.controls[k]).norm(dim=-1)
+        score = linear.log_evidence - _PER_DISTANCE * (linear.mean - gels.controls[k]).square().sum(-1)
         if not_own:
-            move[k] = math.inf
+            score[k] = -math.inf
         logs.append(linear.log_evidence)
-        moves.append(move)
-    chosen = torch.stack(moves).argmin(0)
+        scores.append(score)
+    chosen = torch.stack(scores).argmax(0)
     return chosen, torch.stack(logs).gather(0, chosen[None])[0]
 
 
