@@ -26,7 +26,7 @@ from imr_torch.design.response import Response, Shot
 from imr_torch.material import ModelBelief
 
 _CLOSE = 0.5  # posterior standard deviations: the evidence linearised there is as good as at the optimum
-_BEHIND = 50.0  # nats by which a rival may be behind after the first step and still be refined
+_BEHIND = 30.0  # nats by which a rival may be behind after the first step and still be refined
 _FEWEST = 8  # data of each model whose rivals are refined, if the number is left to the estimator
 
 
@@ -51,7 +51,7 @@ class Laplace(InformationEstimator):
 
     draws: int = 64
     rivals: int | None = None
-    refinements: int = 4
+    refinements: int = 3
 
     def __post_init__(self) -> None:
         check_at_least(self, 2, "draws")

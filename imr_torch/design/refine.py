@@ -12,6 +12,7 @@ from imr_torch.material import ModelBelief
 _LONGEST_STEP = 4.0  # standard deviations of the belief
 _SHORTER = 0.3  # of a step that did not raise the posterior density
 _PER_DISTANCE = 20.0  # nats per square of a standard deviation of the belief
+_START_BEHIND = 150.0  # nats below the floor at which not even a first step is made
 _SHORTEST = 0.01  # shorter steps are not tried
 
 
@@ -61,7 +62,7 @@ def refine(
         close: distance of the linearised optimum, in posterior standard deviations, at which a datum is left alone.
         both_lengths: whether a shorter step is tried beside the whole one; if not, it is tried the next time, where the whole
             one failed.
-        floor: ``n`` tensor: after the first step, data whose linearised evidence is below are left alone.
+        floor: ``n`` tensor: data whose linearised evidence is below are left alone, at the start if it is far below.
     """
     length = torch.ones(len(data), 1, dtype=torch.float64)
     lengths = (1.0, _SHORTER) if both_lengths else (1.0,)
@@ -69,8 +70,8 @@ def refine(
         here = infer(data, at, shot.plan)
         step = here.mean - at.controls
         active = ((step[:, None] @ here.chol).norm(dim=-1)[:, 0] > close) & (length[:, 0] > _SHORTEST)
-        if floor is not None and iteration > 0:
-            active &= here.log_evidence > floor
+        if floor is not None:
+            active &= here.log_evidence > (floor if iteration else floor - _START_BEHIND)
         moving = torch.nonzero(active)[:, 0]
         if len(moving) == 0:
             break
