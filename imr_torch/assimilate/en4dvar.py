@@ -3,8 +3,9 @@
 The method of Spratt et al. (J. Mech. Phys. Solids 152, 104455, 2021) and of arXiv 2409.00011, appendix B, in the ensemble-space
 form of Bocquet & Sakov (Nonlin. Processes Geophys. 20, 803, 2013): an ensemble of gels and nuisances is simulated, its members'
 deviations give the slopes of the curves by regression, and a Gauss-Newton step moves its mean; its deviations are then those of
-the posterior so far. Between cycles spread is relaxed to that at the cycle's start (RTPS: Whitaker & Hamill, Mon. Weather Rev.
-140, 3078, 2012), so that restarts can leave the minimum that was found. Truncated priors need no special treatment, since
+the posterior so far. Between cycles spread is relaxed to what the cycle before began from, its own widening apart (RTPS:
+Whitaker & Hamill, Mon. Weather Rev. 140, 3078, 2012): the second cycle begins nearly as wide as the prior and can leave the
+minimum that was found, later ones are hardly widened. Truncated priors need no special treatment, since
 members are in whitened coordinates.
 
 The prior enters through the cost and not through the ensemble, so restarts do not use the data again, and data have their own
