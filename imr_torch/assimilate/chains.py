@@ -27,6 +27,7 @@ class Chains:
         posterior: of one model.
         masked: the same without the frames next to collapses.
         point: ``C`` points, positions of the chains.
+        seen: ``C x E x T`` tensor, the prediction there.
         cost: ``C`` tensor, nats; infinite where a bubble fails.
         aim: ``C`` tensor, what a chain lowers: the cost, or that of the frames that are not masked.
         begun: ``C`` tensor, the cost at the start.
@@ -48,6 +49,7 @@ class Chains:
     posterior: Posterior
     masked: Masked
     point: Point
+    seen: Tensor
     cost: Tensor
     aim: Tensor
     begun: Tensor
@@ -74,12 +76,14 @@ class Chains:
             point: where they begin.
             masking: whether frames next to collapses are left out at first.
         """
-        cost, count = -posterior.log_joint(point), len(point.gel)
+        seen, count = posterior.predict(point), len(point.gel)
+        cost = -posterior.log_joint(point, seen)
         masked, numbers = Masked.of(posterior), torch.zeros(count, dtype=torch.float64)
         return cls(
             posterior=posterior,
             masked=masked,
             point=point,
+            seen=seen,
             cost=cost,
             aim=cost,
             begun=cost,
@@ -129,10 +133,12 @@ class Chains:
 
     def restarted(self, rows: Tensor, point: Point) -> "Chains":
         """With some chains restarted from other points."""
-        cost = -self.posterior.log_joint(point)
+        seen = self.posterior.predict(point)
+        cost = -self.posterior.log_joint(point, seen)
         return self.put(
             rows,
             point=point,
+            seen=seen,
             cost=cost,
             finished=~torch.isfinite(cost),
             leading=False,

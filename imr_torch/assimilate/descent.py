@@ -16,7 +16,7 @@ from torch import Tensor
 from imr_torch.assimilate.chains import Chains
 from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.assimilate.options import SearchOptions
-from imr_torch.assimilate.posterior import Point
+from imr_torch.assimilate.posterior import Neighbourhood, Point
 
 NEAR = 1.0
 """Posterior standard deviations from a minimum at which a chain gets a leader, and another start may begin."""
@@ -85,11 +85,29 @@ def _looked_around(chains: Chains, rows: Tensor) -> Chains:
     for leading in (False, True):
         some = rows[chains.leading[rows] == leading]
         if some.numel():
-            leader = chains.leader[some] if leading else None
-            made = chains.posterior.neighbourhood(chains.point[some], chains.scale[some], leader=leader)
+            made = _led_neighbours(chains, some) if leading else _coarse_neighbours(chains, some)
             chains = chains.put(some, around=[made[row] for row in range(len(some))])
     lost = rows[torch.isinf(chains.near(rows).log_joint) & chains.leading[rows]]
-    return _looked_around(chains.put(lost, leading=False), lost) if lost.numel() else chains
+    if not lost.numel():
+        return chains
+    chains = chains.put(lost, leading=False, seen=chains.posterior.predict(chains.point[lost]))
+    return _looked_around(chains, lost)
+
+
+def _led_neighbours(chains: Chains, rows: Tensor) -> Neighbourhood:
+    """Points of chains and those beside them, behind their leaders."""
+    return chains.posterior.neighbourhood(chains.point[rows], chains.scale[rows], leader=chains.leader[rows])
+
+
+def _coarse_neighbours(chains: Chains, rows: Tensor) -> Neighbourhood:
+    """Points of chains and those beside them: what changes from one to the other is simulated more coarsely.
+
+    Slopes that are wrong by a hundredth do no harm as far from a minimum as chains without a leader are.
+    """
+    near, seen = chains.posterior.coarse.neighbourhood(chains.point[rows], chains.scale[rows]), chains.seen[rows]
+    prediction = near.prediction + (seen - near.centre).unsqueeze(-3)
+    prediction[:, 0] = seen
+    return replace(near, posterior=chains.posterior, prediction=prediction)
 
 
 def _linearised(chains: Chains, rows: Tensor) -> tuple[Chains, NormalEquations]:
@@ -126,22 +144,24 @@ def _stepped(chains: Chains, rows: Tensor, equations: NormalEquations, options: 
     own = chains.point[rows]
     point = Point(own.gel[:, None] + shorter * gel_step, own.nuisances[:, None] + shorter[..., None] * nuisance_step)
     aim, cost = (torch.full(tried.shape, torch.inf, dtype=torch.float64) for _ in range(2))
-    aim[:, :1], cost[:, :1] = _tried(chains, rows, point[:, :1])
+    seen = torch.full((*tried.shape, *chains.seen.shape[1:]), torch.nan, dtype=torch.float64)
+    aim[:, :1], cost[:, :1], seen[:, :1] = _tried(chains, rows, point[:, :1])
     poor = aim[:, 0] > chains.aim[rows] - _KEPT * 0.5 * chains.gradient[rows].square()
     if bool(poor.any()):
-        aim[poor, 1:], cost[poor, 1:] = _tried(chains, rows[poor], point[poor][:, 1:])
+        aim[poor, 1:], cost[poor, 1:], seen[poor, 1:] = _tried(chains, rows[poor], point[poor][:, 1:])
     best, which = aim.min(dim=1)
     better = best < chains.aim[rows] - 0.01 * options.gradient**2  # a fiftieth of what the tolerance leaves
     kept, at = rows[better], (torch.nonzero(better)[:, 0], which[better])
     eased = chains.damping[kept] * torch.tensor(_DAMPINGS, dtype=torch.float64)[which[better]]
     damping = torch.where(eased > 0.0, 0.3 * eased, 0.1 * chains.damping[kept]).clamp(1e-6, 1e6)
-    chains = chains.put(kept, point=point[at], cost=cost[at], around=None, damping=damping)
+    chains = chains.put(kept, point=point[at], seen=seen[at], cost=cost[at], around=None, damping=damping)
     return _unstuck(chains, rows[~better])
 
 
-def _tried(chains: Chains, rows: Tensor, point: Point) -> tuple[Tensor, Tensor]:
-    """What some chains lower, and the cost, at ``N`` points of each: two ``C x N`` tensors."""
-    return _aim(chains, rows, point, predict_led(chains, rows, point))
+def _tried(chains: Chains, rows: Tensor, point: Point) -> tuple[Tensor, Tensor, Tensor]:
+    """What some chains lower, and the cost, at ``N`` points of each (``C x N`` tensors), and the prediction there."""
+    prediction = predict_led(chains, rows, point)
+    return *_aim(chains, rows, point, prediction), prediction
 
 
 def _unstuck(chains: Chains, rows: Tensor) -> Chains:
@@ -155,8 +175,7 @@ def _unstuck(chains: Chains, rows: Tensor) -> Chains:
 
 def _follow_oneself(chains: Chains, rows: Tensor) -> Chains:
     """Make the current points of chains their leaders."""
-    chains = chains.put(rows[chains.leading[rows]], around=None)  # without a leader, its point was that of its neighbours
-    return chains.put(rows, leading=True, leader=chains.point[rows])
+    return chains.put(rows, leading=True, leader=chains.point[rows], around=None)
 
 
 def _led(chains: Chains, rows: Tensor) -> Chains:

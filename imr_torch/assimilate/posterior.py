@@ -16,7 +16,7 @@ from torch import Tensor
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
 from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch, predict
-from imr_torch.simulate import Simulator
+from imr_torch.simulate import Simulator, coarser
 
 STEP = 1e-6
 """Length of the differences: of the gel in units of ``scale``, of nuisances in prior standard deviations."""
@@ -97,6 +97,12 @@ class Posterior:
     def to_si(self, gel: Tensor) -> Tensor:
         """Shared parameter vectors: ``batch_shape x d`` to ``batch_shape x p``, SI."""
         return self.prior.to_si(gel)
+
+    @cached_property
+    def coarse(self) -> "Posterior":
+        """The same with bubbles of :func:`imr_torch.simulate.coarser`; itself where there are none."""
+        simulator = coarser(self.simulator)
+        return self if simulator is self.simulator else replace(self, simulator=simulator)
 
     def predict(self, point: Point, *, bundled: bool = False) -> Tensor:
         """What the camera would see: ``batch_shape x E x T``, R/Rmax; 0 beyond the last frame, NaN where a bubble fails.

@@ -19,11 +19,11 @@ _BESIDE = 10.0  # posterior standard deviations between an earlier optimum and t
 
 
 def scouted(posterior: Posterior, options: SearchOptions, source: torch.Generator) -> Point:
-    """The best of many prior draws that are not neighbours of each other; the prior mean is among the draws."""
+    """The best of many prior draws that are not neighbours of each other, by coarse bubbles; the prior mean is among them."""
     draws = torch.randn(options.scouts, posterior.size, generator=source, dtype=torch.float64)
     draws[0] = 0.0
     points = Point(draws, posterior.still(options.scouts))
-    return points[_distinct(posterior.prior.model, draws, -posterior.log_joint(points), options.starts)]
+    return points[_distinct(posterior.prior.model, draws, -posterior.coarse.log_joint(points), options.starts)]
 
 
 def given(posteriors: Sequence[Posterior], gels: Sequence[Tensor], nuisances: Sequence[Tensor] | None) -> list[Point]:

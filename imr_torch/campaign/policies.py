@@ -31,7 +31,7 @@ from imr_torch.design import (
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.random import child, generator
-from imr_torch.simulate import Simulator
+from imr_torch.simulate import Simulator, coarser
 from imr_torch.types import Progress
 
 
@@ -116,15 +116,17 @@ class Optimal:
         common: whether all evaluations of a search share their draws.
         strategy: how the search chooses designs, and the last.
         plan: how the experiment will be observed, if not as the campaign says.
+        coarse: whether the search simulates as coarsely as :func:`imr_torch.simulate.coarser` says, or as the campaign does.
     """
 
-    estimator: InformationEstimator = field(default_factory=lambda: Laplace(draws=32))
+    estimator: InformationEstimator = field(default_factory=lambda: Laplace(draws=16))
     evaluations: int = 25
     initial: int = 10
     batch: int = 5
     common: bool = True
     strategy: Strategy = field(default_factory=Strategy)
     plan: Plan | None = None
+    coarse: bool = True
 
     def __post_init__(self) -> None:
         if not 2 <= self.initial <= self.evaluations:
@@ -138,7 +140,7 @@ class Optimal:
         """See :class:`DesignPolicy`."""
         acquisition = ExpectedInformationGain(
             situation.belief,
-            situation.simulator,
+            coarser(situation.simulator) if self.coarse else situation.simulator,
             self.estimator,
             plan=self.plan or situation.plan,
             space=situation.space,
@@ -177,7 +179,9 @@ def _gain(row: dict[str, Any]) -> InformationGain:
     return replace(InformationGain(**{key: value for key, value in row.items() if key != "influence"}), influence=influence)
 
 
-PAPER_OPTIMAL = Optimal(PublishedEstimator(500), batch=1, common=False, strategy=STRATEGIES["paper"], plan=PAPER_PLAN)
+PAPER_OPTIMAL = Optimal(
+    PublishedEstimator(500), 25, batch=1, common=False, strategy=STRATEGIES["paper"], plan=PAPER_PLAN, coarse=False
+)
 """The search of arXiv 2409.00011: 1000 draws of both models a design, 10 + 15 designs, the best observed wins."""
 
 

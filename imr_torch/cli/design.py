@@ -40,6 +40,7 @@ from imr_torch.design import (
 )
 from imr_torch.observe import Nuisance
 from imr_torch.plot import plot_information
+from imr_torch.simulate import coarser
 
 _PUBLISHED_REPEATS, _REPEATS = 100, 10
 _MEASURED = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)  # of curves filmed in a laboratory
@@ -70,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--estimator", choices=tuple(ESTIMATORS), default="laplace", help="of the information gain (default laplace)"
     )
-    parser.add_argument("--draws", type=int, default=32, help="draws per model of each estimate (default 32)")
+    parser.add_argument("--draws", type=int, default=16, help="draws per model of each estimate (default 16)")
     parser.add_argument("--out", metavar="DIR", help="folder for the map and JSON")
     add_physics_argument(parser)
     add_workers_argument(parser)
@@ -84,7 +85,9 @@ def add_space_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--repeats", type=int, help="curves per design (default 100 with --case, as in the literature, else 10)"
     )
-    parser.add_argument("--evaluations", type=int, default=25, help="designs evaluated in each search (default 25)")
+    parser.add_argument(
+        "--evaluations", type=int, default=Optimal.evaluations, help="designs evaluated in each search (default %(default)s)"
+    )
 
 
 def space_of(args: argparse.Namespace) -> DesignSpace:
@@ -117,7 +120,12 @@ def run(args: argparse.Namespace) -> None:
     """Search and report."""
     simulator, space = simulator_of(args), space_of(args)
     acquisition = ExpectedInformationGain(
-        prior_of(args), simulator, ESTIMATORS[args.estimator](args.draws), target=args.target, plan=plan_of(args), space=space
+        prior_of(args),
+        coarser(simulator),
+        ESTIMATORS[args.estimator](args.draws),
+        target=args.target,
+        plan=plan_of(args),
+        space=space,
     )
     search = search_design(
         acquisition,

@@ -33,6 +33,7 @@ from imr_torch.random import child
 _LEAST_NOISE = 2e-6  # variance over that of the told values: below 1e-6 GPyTorch rounds up, and warns
 _SCATTERED = 64  # achieved designs that stand for the scatter about one that was asked for
 _RESTARTS, _RAW = 8, 128
+_ITERATIONS = {"maxiter": 30}  # of L-BFGS: the maximum is found no better with BoTorch's 200, which take twice as long
 
 Cost = Callable[[Tensor], Tensor]
 """``n x 2`` designs to ``n`` positive costs; the search then maximises the utility per cost."""
@@ -234,8 +235,16 @@ class DesignOptimizer:
             best, _ = optimize_acqf_discrete(acquisition, q, choices, X_avoid=avoid)
         elif fixed := self.space.fixed_features:
             best, _ = optimize_acqf_mixed(
-                acquisition, bounds, q, num_restarts=_RESTARTS, raw_samples=_RAW, fixed_features_list=fixed
+                acquisition,
+                bounds,
+                q,
+                num_restarts=_RESTARTS,
+                raw_samples=_RAW,
+                options=dict(_ITERATIONS),
+                fixed_features_list=fixed,
             )
         else:
-            best, _ = optimize_acqf(acquisition, bounds, q=q, num_restarts=_RESTARTS, raw_samples=_RAW)
+            best, _ = optimize_acqf(
+                acquisition, bounds, q=q, num_restarts=_RESTARTS, raw_samples=_RAW, options=dict(_ITERATIONS)
+            )
         return best.detach()

@@ -6,7 +6,6 @@ without converged fits.
 
 import time
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 
 from torch import Tensor
@@ -20,7 +19,7 @@ from imr_torch.gap.score import GapTest
 from imr_torch.material import LIBRARY, Effect, ModelBelief, library, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import child
-from imr_torch.simulate import ACCURACIES, ParallelSimulator, PolytropicSimulator, Simulator, TransportSimulator
+from imr_torch.simulate import ACCURACIES, PolytropicSimulator, Simulator, TransportSimulator, with_inner
 from imr_torch.types import Progress
 
 _SURE = 0.8  # probability of one family at which a cause is named alone
@@ -163,10 +162,10 @@ def impatient(simulator: Simulator) -> Simulator:
 
     Explicit steps become very short where the relaxation time of a gel is short; good fits do not end there.
     """
-    if isinstance(simulator, ParallelSimulator):
-        alike = copy(simulator)
-        alike.simulator = impatient(simulator.simulator)
-        return alike
+    return with_inner(simulator, _impatient)
+
+
+def _impatient(simulator: Simulator) -> Simulator:
     if not isinstance(simulator, PolytropicSimulator):
         return simulator
     stepping = simulator.stepping

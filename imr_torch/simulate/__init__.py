@@ -1,5 +1,6 @@
 """Stage 2, the bubble: from a gel and a design to radius, velocity and pressure over time."""
 
+from imr_torch.simulate.coarser import coarser
 from imr_torch.simulate.conditions import (
     PRESETS,
     STEPPINGS,
@@ -14,7 +15,7 @@ from imr_torch.simulate.driving import Driving, GaussianPulse, LawDriving, SineD
 from imr_torch.simulate.engines import ENGINES, Engine
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import METHOD, TransportField
-from imr_torch.simulate.parallel import ParallelSimulator, process_pool
+from imr_torch.simulate.parallel import ParallelSimulator, process_pool, with_inner
 from imr_torch.simulate.polytropic import PolytropicSimulator
 from imr_torch.simulate.radial import (
     RADIAL_EQUATIONS,
@@ -77,9 +78,11 @@ __all__ = [
     "broadcast_batch",
     "check_designs",
     "check_times",
+    "coarser",
     "preset",
     "process_pool",
     "sensitivities",
     "solve_batch",
     "solve_bundles",
+    "with_inner",
 ]

@@ -12,6 +12,7 @@ import socket
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
+from copy import copy
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
@@ -51,6 +52,21 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
     if workers < 1:
         raise InputDataError(f"process_pool: workers is {workers}; expected at least 1.")
     return ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+
+
+def with_inner(simulator: Simulator, change: Callable[[Simulator], Simulator]) -> Simulator:
+    """A simulator changed, or, if workers do its work, one with the same workers that do that of the changed one.
+
+    >>> from dataclasses import replace
+    >>> from imr_torch.simulate import ACCURACIES, TransportSimulator
+    >>> with_inner(TransportSimulator(), lambda one: replace(one, accuracy=ACCURACIES["fast"])).accuracy.tolerance
+    0.001
+    """
+    if not isinstance(simulator, ParallelSimulator):
+        return change(simulator)
+    alike, inner = copy(simulator), with_inner(simulator.simulator, change)
+    alike.simulator = inner
+    return simulator if inner is simulator.simulator else alike
 
 
 class ParallelSimulator:

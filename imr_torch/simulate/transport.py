@@ -58,6 +58,7 @@ class Accuracy:
 
 ACCURACIES = {
     "fast": Accuracy(1e-3, Resolution(14, 14)),
+    "coarse": Accuracy(1e-3, Resolution(12, 12), max_steps=800),
     "default": Accuracy(),
     "search": Accuracy(max_steps=800),
     "reference": Accuracy(1e-6, Resolution(32, 40), max_steps=100000),
@@ -65,7 +66,8 @@ ACCURACIES = {
 """Named settings; their measured errors are in ``benchmarks/RESULTS.md``.
 
 ``search`` is the default with fewer steps, for fits, whose trial points may be extreme: a bubble up to
-``t* = 4`` takes some 500 steps, and one with thousands would delay all others."""
+``t* = 4`` takes some 500 steps, and one with thousands would delay all others. ``coarse`` costs a third, and is
+what :func:`imr_torch.simulate.coarser` gives."""
 
 
 @dataclass(frozen=True)

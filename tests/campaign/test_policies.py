@@ -123,7 +123,7 @@ def test_a_search_that_cannot_be_is_refused(options, message):
 
 
 def test_the_papers_search_is_the_published_one():
-    assert Optimal(PublishedEstimator(500), 25, 10, 1, False, STRATEGIES["paper"], PAPER_OPTIMAL.plan) == PAPER_OPTIMAL
+    assert Optimal(PublishedEstimator(500), 25, 10, 1, False, STRATEGIES["paper"], PAPER_OPTIMAL.plan, False) == PAPER_OPTIMAL
     assert PAPER_OPTIMAL.plan is PAPER_PLAN
     assert CampaignSettings.paper().policy is PAPER_OPTIMAL
 
