@@ -16,7 +16,7 @@ def coarser(simulator: Simulator) -> Simulator:
 
     Errors of R* are .0005 in the mean and .01 at worst over reference gels, and a bubble costs a third.
 
-    >>> from imr_torch.simulate import TransportSimulator
+    >>> from imr_torch.simulate import TransportSimulator, coarser
     >>> coarser(TransportSimulator()).accuracy.tolerance
     0.001
     """

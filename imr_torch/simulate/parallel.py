@@ -58,7 +58,7 @@ def with_inner(simulator: Simulator, change: Callable[[Simulator], Simulator]) -
     """A simulator changed, or, if workers do its work, one with the same workers that do that of the changed one.
 
     >>> from dataclasses import replace
-    >>> from imr_torch.simulate import ACCURACIES, TransportSimulator
+    >>> from imr_torch.simulate import ACCURACIES, TransportSimulator, with_inner
     >>> with_inner(TransportSimulator(), lambda one: replace(one, accuracy=ACCURACIES["fast"])).accuracy.tolerance
     0.001
     """

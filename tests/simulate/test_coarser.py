@@ -23,7 +23,9 @@ def test_that_only_finer_bubbles_of_the_full_physics_are_made_coarse():
         assert coarser(simulator) is simulator
     with ThreadPoolExecutor(1) as executor:
         spread, cheap = ParallelSimulator(fine, executor), ParallelSimulator(PolytropicSimulator(), executor)
-        assert coarser(spread).simulator == coarse
+        alike = coarser(spread)
+        assert isinstance(alike, ParallelSimulator)
+        assert alike.simulator == coarse
         assert spread.simulator == fine
         assert coarser(cheap) is cheap
 
