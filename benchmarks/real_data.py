@@ -21,9 +21,9 @@ import torch
 
 from imr_torch import characterize, load_traces
 from imr_torch.assimilate import ModelFit, SearchOptions, Verdict
-from imr_torch.characterize import Characterization, predictive_band, prepare
+from imr_torch.characterize import Characterization, predictive_band
 from imr_torch.errors import ImrError, InputDataError
-from imr_torch.observe import NUISANCES, TraceSet, collapse_time, find_landmarks
+from imr_torch.observe import NUISANCES, TraceSet, collapse_time, find_landmarks, prepare
 from imr_torch.plot import plot_experiment
 from imr_torch.simulate import Conditions, PolytropicSimulator, Simulator, Solution, TransportSimulator
 
@@ -126,7 +126,7 @@ def some(traces: TraceSet, most: int) -> TraceSet:
 
 def _long_enough(trace: TraceSet) -> bool:
     try:
-        prepare(trace, TransportSimulator(), rest_radius=REST)
+        prepare(trace, rest_radius=REST)
     except InputDataError:
         return False
     return True

@@ -19,11 +19,10 @@ from imr_torch.observe import (
     ExperimentBatch,
     Landmarks,
     Noise,
+    Prepared,
     TraceSet,
-    collapse_time,
-    find_landmarks,
     predict,
-    to_experiment,
+    prepare,
 )
 from imr_torch.random import child
 from imr_torch.select import (
@@ -40,7 +39,6 @@ from imr_torch.types import Progress
 
 LEVELS = (0.05, 0.5, 0.95)
 _IMPROBABLE = 3.0  # nats behind the best from which the draws of a model are not repaired
-_MIN_FRAMES = 5
 _CURVES_LISTED = 10
 
 
@@ -49,8 +47,7 @@ class Characterization:
     """Parameters, model probabilities and fits inferred from curves of one gel.
 
     Args:
-        experiments: the dimensionless curves that were fitted, cut to the window.
-        landmarks: landmarks of each trace, by experiment id.
+        prepared: the dimensionless curves that were fitted, cut to the window, and what was found on the way.
         assimilation: the fits of all models, with their certificates.
         evidence: the evidence of each model.
         posterior: parameters and model probabilities after the data.
@@ -78,13 +75,22 @@ class Characterization:
     (('nhkv',), True, 1)
     """
 
-    experiments: tuple[Experiment, ...]
-    landmarks: dict[str, Landmarks]
+    prepared: Prepared
     assimilation: Assimilation
     evidence: tuple[Evidence, ...]
     posterior: Belief
     seconds: float
     scores: tuple[PredictiveScore, ...] = ()
+
+    @property
+    def experiments(self) -> tuple[Experiment, ...]:
+        """The dimensionless curves that were fitted, cut to the window."""
+        return self.prepared.experiments
+
+    @property
+    def landmarks(self) -> dict[str, Landmarks]:
+        """Landmarks of each trace, by experiment id."""
+        return self.prepared.landmarks
 
     @property
     def noise(self) -> Noise:
@@ -108,6 +114,7 @@ class Characterization:
             }
         return {
             "experiments": [{"id": e.label, "We": e.design[0], "R_inf*": e.design[1]} for e in self.experiments],
+            "cautions": list(self.prepared.cautions),
             "model_probabilities": self.posterior.probabilities,
             "models": models,
             "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
@@ -150,39 +157,6 @@ def intervals(belief: ModelBelief) -> dict[str, list[float]]:
     return dict(zip(belief.names, belief.quantile(LEVELS).T.tolist(), strict=True))
 
 
-def prepare(
-    traces: TraceSet,
-    simulator: Simulator,
-    *,
-    collapses: int = 2,
-    rest_radius: tuple[float, float] | None = None,
-) -> tuple[tuple[Experiment, ...], dict[str, Landmarks]]:
-    """Dimensionless experiments of a set of traces, cut after ``collapses`` collapses.
-
-    Args:
-        traces: the curves.
-        simulator: for its scales.
-        collapses: collapses that the window holds.
-        rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
-
-    Raises:
-        InputDataError: for a record without R_inf, or with too few frames in the window.
-    """
-    experiments, landmarks = [], {}
-    for trace in traces:
-        marks = find_landmarks(trace)
-        experiment = to_experiment(trace, marks, simulator.conditions.surroundings, rest_radius=rest_radius)
-        experiment = experiment.until(collapse_time(experiment.times, experiment.radius[0], collapses))
-        if len(experiment.times) < _MIN_FRAMES:
-            raise InputDataError(
-                f"{trace.source}: experiment '{trace.experiment_id}' has {len(experiment.times)} frames between its maximum "
-                f"and collapse {collapses}; at least {_MIN_FRAMES} are needed. Raise --collapses, or leave it out."
-            )
-        experiments.append(experiment)
-        landmarks[trace.experiment_id] = marks
-    return tuple(experiments), landmarks
-
-
 def characterize(
     traces: TraceSet,
     *,
@@ -215,7 +189,7 @@ def characterize(
         progress: called with one line per step.
 
     Raises:
-        InputDataError: as in :func:`prepare`, if there is no trace, or scores are asked for and there is only one.
+        InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, or for scores of only one.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -244,10 +218,10 @@ def characterize(
         raise InputDataError("Scores hold curves out, and there is 1; give at least two, or ask for no scores.")
     prior, noise = prior or wide_prior(), noise or Noise()
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
-    experiments, landmarks = prepare(traces, simulator, collapses=collapses, rest_radius=rest_radius)
+    prepared = prepare(traces, simulator.conditions.surroundings, collapses=collapses, rest_radius=rest_radius)
     result = assimilate_estimating_noise(
         prior,
-        ExperimentBatch(experiments, noise),
+        ExperimentBatch(prepared.experiments, noise),
         simulator,
         rounds=NOISE_ROUNDS if estimate_noise else 0,
         seed=child(seed, "fit"),
@@ -264,7 +238,7 @@ def characterize(
         own = child(seed, "scores")
         search = options if isinstance(options, SearchOptions) else None
         found = sum_over_folds(cross_validate(result, simulator, seed=own, options=search, progress=progress))
-    return Characterization(experiments, landmarks, result, evidence, posterior, time.process_time() - started, found)
+    return Characterization(prepared, result, evidence, posterior, time.process_time() - started, found)
 
 
 def predictive_band(

@@ -9,7 +9,9 @@ together; --each fits every curve by itself, which shows whether they agree. A r
 """
 
 import argparse
+import sys
 from pathlib import Path
+from typing import Any
 
 from imr_torch.characterize import Characterization, characterize, predictive_band
 from imr_torch.cli.common import (
@@ -17,6 +19,7 @@ from imr_torch.cli.common import (
     add_physics_argument,
     add_prior_arguments,
     file_name,
+    names_of,
     parse_pair,
     prior_of,
     progress_of,
@@ -24,9 +27,9 @@ from imr_torch.cli.common import (
     simulator_of,
     write_result,
 )
-from imr_torch.errors import InputDataError
+from imr_torch.errors import ConvergenceError, ImrError, InputDataError
 from imr_torch.material import Belief
-from imr_torch.observe import Layout, TraceSet, load_traces
+from imr_torch.observe import Layout, TraceSet, load_traces, prepare
 from imr_torch.plot import plot_experiment, plot_parameter, plot_probabilities
 from imr_torch.simulate import Simulator
 
@@ -70,30 +73,57 @@ def run(args: argparse.Namespace) -> None:
     if args.each and args.scores:
         raise InputDataError("--scores predicts curves from others, and --each fits every one alone; leave one of them out.")
     traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
-    if args.experiments:
-        traces = traces.select([name.strip() for name in args.experiments.split(",")])
+    if args.experiments is not None:
+        traces = traces.select(names_of(args.experiments, "--experiments"))
     print(traces.report())
-    if not args.each:
-        write_result(args, _characterize(traces, args, Path(args.out) if args.out else None).to_dict())
+    if args.each:
+        _each(traces, args)
         return
-    results = {}
-    for trace in traces:
-        print(f"\n--- {trace.experiment_id}")
-        folder = Path(args.out) / file_name(trace.experiment_id) if args.out else None
-        results[trace.experiment_id] = _characterize(traces.select([trace.experiment_id]), args, folder).to_dict()
-    write_result(args, {"each": results})
+    result = _characterize(traces, args, Path(args.out) if args.out else None)
+    write_result(args, result.to_dict())
+    if not result.assimilation.converged:
+        raise ConvergenceError("a fit has not converged (see its certificate above), so its numbers are not to be used.")
+
+
+def _each(traces: TraceSet, args: argparse.Namespace) -> None:
+    """Fit every curve by itself; one that cannot be fitted is reported, and the others are kept, also on an interruption."""
+    results: dict[str, Any] = {}
+    wrong: dict[str, ImrError] = {}
+    try:
+        for trace in traces:
+            print(f"\n--- {trace.experiment_id}")
+            folder = Path(args.out) / file_name(trace.experiment_id) if args.out else None
+            try:
+                result = _characterize(traces.select([trace.experiment_id]), args, folder)
+            except ImrError as error:
+                print(f"imr-torch: {error}", file=sys.stderr)
+                wrong[trace.experiment_id], results[trace.experiment_id] = error, {"error": str(error)}
+                continue
+            results[trace.experiment_id] = result.to_dict()
+            if not result.assimilation.converged:
+                wrong[trace.experiment_id] = ConvergenceError("a fit has not converged.")
+    finally:
+        write_result(args, {"each": results})
+    if wrong:
+        kind = InputDataError if any(isinstance(x, InputDataError) for x in wrong.values()) else ConvergenceError
+        raise kind(
+            f"{len(wrong)} of {len(traces)} curves have no result to be used: {', '.join(wrong)}; the others are written."
+        )
 
 
 def _characterize(traces: TraceSet, args: argparse.Namespace, folder: Path | None) -> Characterization:
     """Fit some curves together, print the result, draw its figures."""
     prior, simulator = prior_of(args), simulator_of(args)
+    rest_radius = parse_pair(args.rest_radius, "--rest-radius")
+    prepared = prepare(traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius)
+    print(prepared.report())
     result = characterize(
         traces,
         prior=prior,
         simulator=simulator,
         estimate_noise=args.noise == "estimated",
         collapses=args.collapses,
-        rest_radius=parse_pair(args.rest_radius, "--rest-radius"),
+        rest_radius=rest_radius,
         options=METHODS[args.method],
         scores=args.scores,
         seed=args.seed,
@@ -102,7 +132,7 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, folder: Path | Non
     print("\n" + result.report())
     if folder:
         _figures(result, prior, simulator, folder)
-        (folder / "report.txt").write_text(traces.report() + "\n\n" + result.report() + "\n")
+        (folder / "report.txt").write_text("\n\n".join((traces.report(), prepared.report(), result.report())) + "\n")
     return result
 
 
