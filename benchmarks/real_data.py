@@ -211,12 +211,7 @@ def _line(row: dict[str, Any]) -> str:
     if "failure" in row:
         return f"| {row['set']} | | {row['failure']} |" + " |" * 9
     model, noise = row["models"][row["best"]], row["noise"]
-    answer = (
-        model["gaussian_answer"]
-        .removeprefix("Gaussian answer ")
-        .split(", means")[0]
-        .removesuffix("); take more samples, or NUTS")
-    )
+    answer = model["draws"].removeprefix("intervals ")
     cells = [
         row["set"],
         f"{row['curves']}{', R_inf assumed' if row['rest_assumed'] else ''}",

@@ -5,13 +5,23 @@ law; then its scale, constant part and correlation time are estimated from the r
 repeated, so that a model that misses the data gets wider intervals.
 """
 
+import math
 import time
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, FitOptions, SearchOptions, assimilate_estimating_noise, weigh
+from imr_torch.assimilate import (
+    NOISE_ROUNDS,
+    Assimilation,
+    FitOptions,
+    ModelFit,
+    SearchOptions,
+    Verdict,
+    assimilate_estimating_noise,
+    weigh,
+)
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, ModelBelief, wide_prior
 from imr_torch.observe import (
@@ -38,7 +48,26 @@ from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.types import Progress
 
 LEVELS = (0.05, 0.5, 0.95)
-_IMPROBABLE = 3.0  # nats behind the best from which the draws of a model are not repaired
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How far draws are weighed where they do not settle the intervals of a model.
+
+    Args:
+        rounds: of draws, each up to twice as many as the one before.
+        behind: nats behind the best model from which a model gets one round only.
+
+    >>> from imr_torch.characterize import EFFORTS
+    >>> EFFORTS["thorough"].rounds
+    8
+    """
+
+    rounds: int
+    behind: float
+
+
+EFFORTS = {"normal": Effort(4, 3.0), "thorough": Effort(8, 7.0)}
 _CURVES_LISTED = 10
 
 
@@ -109,7 +138,7 @@ class Characterization:
                 "log_evidence": evidence.value,
                 "log_evidence_error": evidence.error,
                 "effective_samples": evidence.effective_samples,
-                "gaussian_answer": fit.trust,
+                "draws": fit.trust,
                 "certificate": certificate,
             }
         return {
@@ -137,7 +166,7 @@ class Characterization:
                 low, middle, high = (parameter.display_scale * x for x in intervals(fit.posterior)[parameter.name])
                 unit = parameter.display_unit or ("" if parameter.unit == "1" else parameter.unit)
                 lines.append(f"  {parameter.name:6s} {middle:10.4g} {unit:5s} (90 %: {low:.4g} to {high:.4g})")
-            lines += [f"  {fit.certificate}", f"  {fit.trust}"]
+            lines += [f"  {fit.certificate}", f"  {fit.trust}{self._advice(fit)}"]
         if len(self.experiments) > 1:
             worst = sorted(self.assimilation.rmse_by_experiment(order[0].model).items(), key=lambda item: -item[1])
             lines.append(f"\nRMSE of each curve under {order[0].prior.material.title}, largest first:")
@@ -150,6 +179,14 @@ class Characterization:
                 for score in sorted(self.scores, key=lambda score: -score.value)
             ]
         return "\n".join(lines)
+
+    def _advice(self, fit: ModelFit) -> str:
+        """What can be done where the intervals of a model are not reliable."""
+        if fit.verdict is not Verdict.REFUSED:
+            return ""
+        improbable = self.posterior.probabilities[fit.model] < math.exp(-EFFORTS["normal"].behind)
+        drawn = "few draws, since it is improbable" if improbable else "curves at other designs may settle them"
+        return f"; {drawn}; effort='thorough' (--effort thorough) weighs more"
 
 
 def intervals(belief: ModelBelief) -> dict[str, list[float]]:
@@ -168,6 +205,7 @@ def characterize(
     rest_radius: tuple[float, float] | None = None,
     options: FitOptions | None = None,
     scores: bool = False,
+    effort: str = "normal",
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Characterization:
@@ -185,6 +223,8 @@ def characterize(
             :class:`imr_torch.assimilate.En4DVarOptions`.
         scores: whether the prediction of held-out curves is scored too (each alone up to five, more in four parts), with the
             noise that was estimated from all.
+        effort: how far draws are weighed where they do not settle the intervals: ``"normal"`` or ``"thorough"``, see
+            ``EFFORTS``.
         seed: of everything random.
         progress: called with one line per step.
 
@@ -216,6 +256,8 @@ def characterize(
         raise InputDataError("No curve to characterise; load at least one.")
     if scores and len(traces) == 1:
         raise InputDataError("Scores hold curves out, and there is 1; give at least two, or ask for no scores.")
+    if effort not in EFFORTS:
+        raise InputDataError(f"effort is {effort!r}; expected one of {', '.join(EFFORTS)}.")
     prior, noise = prior or wide_prior(), noise or Noise()
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     prepared = prepare(traces, simulator.conditions.surroundings, collapses=collapses, rest_radius=rest_radius)
@@ -229,16 +271,18 @@ def characterize(
         progress=progress,
     )
     stated = options.drop_behind if isinstance(options, SearchOptions) else None
-    drop_behind = _IMPROBABLE if stated is None else stated
-    result = weigh(result, simulator, seed=child(seed, "weigh"), drop_behind=drop_behind, progress=progress)
-    evidence = evidences(result)
-    posterior = update(result, evidence)
+    drop_behind = EFFORTS[effort].behind if stated is None else stated
+    weighed = weigh(
+        result, simulator, seed=child(seed, "weigh"), rounds=EFFORTS[effort].rounds, drop_behind=drop_behind, progress=progress
+    )
+    evidence = evidences(weighed)
+    posterior = update(weighed, evidence)
     found: tuple[PredictiveScore, ...] = ()
     if scores:
         own = child(seed, "scores")
         search = options if isinstance(options, SearchOptions) else None
-        found = sum_over_folds(cross_validate(result, simulator, seed=own, options=search, progress=progress))
-    return Characterization(prepared, result, evidence, posterior, time.process_time() - started, found)
+        found = sum_over_folds(cross_validate(weighed, simulator, seed=own, options=search, progress=progress))
+    return Characterization(prepared, weighed, evidence, posterior, time.process_time() - started, found)
 
 
 def predictive_band(

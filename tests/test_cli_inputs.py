@@ -189,3 +189,16 @@ def test_that_an_interruption_is_said_in_a_line(monkeypatch, capsys) -> None:
     monkeypatch.setattr("imr_torch.cli.characterize.load_traces", interrupted)
     assert main(FIT) == 130
     assert capsys.readouterr().err == "imr-torch: stopped; what was written is complete\n"
+
+
+def test_that_intervals_that_draws_did_not_settle_say_what_to_do(capsys) -> None:
+    both = ["characterize", str(EXAMPLE), "--models", "nhkv,gen_qkv", "--noise", "published", *QUICK]
+    assert main(both) == 0
+    normal = capsys.readouterr().out
+    assert main([*both, "--effort", "thorough"]) == 0
+    thorough = capsys.readouterr().out
+    for text in (normal, thorough):
+        for line in text.splitlines():
+            if "intervals not reliable" in line:
+                assert "--effort thorough" in line
+    assert thorough.count("not reliable") <= normal.count("not reliable")

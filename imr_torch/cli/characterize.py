@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from imr_torch.characterize import Characterization, characterize, predictive_band
+from imr_torch.characterize import EFFORTS, Characterization, characterize, predictive_band
 from imr_torch.cli.common import (
     METHODS,
     add_physics_argument,
@@ -62,6 +62,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="map",
         help="the most probable gel by multistart Gauss-Newton (default), or hybrid ensemble 4D-Var, with the data's own "
         "likelihood or with the tempered one of arXiv 2409.00011; draws are weighed by the posterior after either",
+    )
+    parser.add_argument(
+        "--effort",
+        choices=tuple(EFFORTS),
+        default="normal",
+        help="how far draws are weighed where they do not settle the intervals of a model (default normal)",
     )
     parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
     add_physics_argument(parser)
@@ -126,6 +132,7 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, folder: Path | Non
         rest_radius=rest_radius,
         options=METHODS[args.method],
         scores=args.scores,
+        effort=args.effort,
         seed=args.seed,
         progress=progress_of(args),
     )
