@@ -4,8 +4,11 @@ import json
 import os
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
+
+_TEMPORARY = ".tmp"
 
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
@@ -20,16 +23,51 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     b'radius'
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=_TEMPORARY)
     try:
         with os.fdopen(descriptor, "wb") as stream:
             write(stream)
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
+        _flush_folder(path.parent)
+    except BaseException as error:
+        Path(temporary).unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno is not None and error.filename is None:  # such as a full disk
+            raise OSError(error.errno, error.strerror, str(path)) from error
         raise
+
+
+def _flush_folder(folder: Path) -> None:
+    """Flush the names of a folder's files to disk, where the system can."""
+    if os.name == "posix":
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            with suppress(OSError):  # some network file systems cannot
+                os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def remove_temporaries(folder: Path, *names: str) -> None:
+    """Remove what :func:`write_atomically` left in a folder when its process was killed.
+
+    Args:
+        folder: where; it must be certain that nobody is writing these files now.
+        names: of the files that were to be written, wildcards allowed.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from imr_torch.files import remove_temporaries
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     (Path(folder) / ".curve.bin.x7.tmp").touch()
+    ...     remove_temporaries(Path(folder), "curve.bin")
+    ...     list(Path(folder).iterdir())
+    []
+    """
+    for name in names:
+        for path in folder.glob(f".{name}.*{_TEMPORARY}"):
+            path.unlink(missing_ok=True)
 
 
 def write_json(path: str | Path, document: Any) -> None:

@@ -1,6 +1,7 @@
 """The command ``imr-torch``: one file per subcommand, results as text, JSON and figures.
 
-Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that did not converge.
+Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that did not converge or a file
+that could not be written, 130 interrupted by the user.
 """
 
 import argparse
@@ -56,4 +57,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ImrError as error:
         print(f"imr-torch: {error}", file=sys.stderr)
         return 2
+    except OSError as error:  # a full disk, a folder without permission
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"imr-torch: {where}{error.strerror or error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt as error:
+        print(f"imr-torch: {error or 'interrupted'}", file=sys.stderr)
+        return 130
     return 0

@@ -8,6 +8,8 @@ and results travel as NumPy arrays; workers compute on the CPU.
 
 import math
 import os
+import re
+import signal
 import socket
 import warnings
 from collections.abc import Callable, Sequence
@@ -51,7 +53,12 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
     """
     if workers < 1:
         raise InputDataError(f"process_pool: workers is {workers}; expected at least 1.")
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_leave_interrupts)
+
+
+def _leave_interrupts() -> None:
+    """Leave Ctrl-C, which reaches all processes of a terminal, to the process that has the workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def with_inner(simulator: Simulator, change: Callable[[Simulator], Simulator]) -> Simulator:
@@ -67,6 +74,20 @@ def with_inner(simulator: Simulator, change: Callable[[Simulator], Simulator]) -
     alike, inner = copy(simulator), with_inner(simulator.simulator, change)
     alike.simulator = inner
     return simulator if inner is simulator.simulator else alike
+
+
+def described(simulator: Simulator) -> str:
+    """What a simulator computes, as text: without its workers, which change no bit, and without addresses in memory.
+
+    >>> from functools import partial
+    >>> from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, described, process_pool
+    >>> alone = PolytropicSimulator()
+    >>> described(ParallelSimulator(alone, partial(process_pool, 2))) == described(alone)
+    True
+    """
+    while isinstance(simulator, ParallelSimulator):
+        simulator = simulator.simulator
+    return re.sub(r" at 0x[0-9a-fA-F]+", "", f"{type(simulator).__name__} {simulator!r}")
 
 
 class ParallelSimulator:
