@@ -95,11 +95,12 @@ class Journal:
         self._checks: list[str] = []
         self._size, self._tail = 0, b""  # bytes of the lines that end, and what follows them
         self._tail_counts = False  # whether that is an event that lacks no more than its line's end
+        self._headed = 0  # lines that the head knows of
         self._lock = FolderLock(self.folder)
         self._read()
 
     def _read(self) -> None:
-        head = self._read_head()  # before the journal: a writer writes it after its line
+        count, check = self._read_head()  # before the journal: a writer writes it after its line
         *lines, tail = (self.path.read_bytes() if self.path.exists() else b"").split(b"\n")
         for line in lines:
             self._accept(line)
@@ -109,7 +110,7 @@ class Journal:
                 self._accept(tail)
                 self._tail_counts = True
         self._tail = tail
-        count, check = head
+        self._headed = count
         if count > len(self.events):
             raise InputDataError(
                 f"{self.path} has {len(self.events)} whole lines and {self._head.name} says that {count} were written: lines "
@@ -190,16 +191,23 @@ class Journal:
             raise InputDataError(f"{self.path} was removed since it was opened here. {_REMEDY}")
 
     def _repair(self) -> None:
-        """Complete or cut off the last line, and remove files that an interrupted write left."""
+        """Complete or cut off the last line, write the head if it lags, and remove files that an interrupted write left."""
         remove_temporaries(self.folder, "journal.head", "experiment_*.npz")
-        if not self._tail:
-            return
         if self._tail_counts:
             self._write(b"\n")
             self._size += len(self._tail)
-        else:
+        elif self._tail:
             os.truncate(self.path, self._size)
         self._tail, self._tail_counts = b"", False
+        if self._headed < len(self._checks):
+            self._write_head()
+
+    def _write_head(self) -> None:
+        """Note how far the journal has come. A head that lags behind detects less, and stops nothing."""
+        head = json.dumps({"lines": len(self._checks), "check": self._checks[-1]}) + "\n"
+        with suppress(OSError):
+            write_atomically(self._head, lambda stream: stream.write(head.encode()))
+            self._headed = len(self._checks)
 
     def append(self, event: str, **fields: Any) -> dict[str, Any]:
         """Add an event and flush it to disk.
@@ -217,9 +225,7 @@ class Journal:
             self._write(line + b"\n")
             self.events.append(json.loads(json.dumps(entry)))
             self._checks.append(check)
-            head = json.dumps({"lines": len(self._checks), "check": check}) + "\n"
-            with suppress(OSError):  # the event is on disk; a head that lags behind only detects less
-                write_atomically(self._head, lambda stream: stream.write(head.encode()))
+            self._write_head()
         return entry
 
     def _write(self, data: bytes) -> None:
