@@ -17,6 +17,7 @@ import contextlib
 import errno
 import os
 import random
+import shlex
 import shutil
 import signal
 import sys
@@ -34,6 +35,7 @@ from imr_torch.cli import main
 from imr_torch.files import write_json
 
 WATCHED = ("journal", ".journal", "experiment_", ".experiment_", "campaign.json", ".campaign.json")
+OPTIONS = shlex.split("--models nhkv --policy space-filling --repeats 1 --physics polytropic --threads 1 --quiet")
 QUICK = SearchOptions(scouts=12, starts=2)
 EXAMPLE = Path(__file__).resolve().parents[1] / "tutorials" / "data" / "example_gel.csv"
 
@@ -60,7 +62,7 @@ class Disk:
             if half:
                 half()
             os.kill(os.getpid(), signal.SIGKILL)
-        if here and self.kind == "full" or (self.full and writes):
+        if (here and self.kind == "full") or (self.full and writes):
             if half:
                 half()
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -166,7 +168,7 @@ def forked(work: Callable[[], int], disk: Disk | None = None, *, after: float = 
                             print(f"{error}", file=sys.stderr)
                             code = 1
                 counted.write_text(str(disk.done))
-            except BaseException as error:  # noqa: B902
+            except BaseException as error:
                 said.write_text(f"{said.read_text() if said.exists() else ''}{type(error).__name__}: {error}")
             os._exit(code)
         status = None
@@ -233,9 +235,8 @@ class RealCampaign:
 
     def arguments(self, out: Path, number: int, *, resume: bool, tell: bool = True) -> list[str]:
         """Command ``number``: 0 asks, n tells the n-th curve."""
-        options = "--models nhkv --policy space-filling --repeats 1 --physics polytropic --threads 1 --quiet".split()
         told = ["--rest-radius", "0.2:0.05", "--tell", str(self.curves[number - 1])] if number and tell else []
-        return ["campaign", *options, "--out", str(out), *(["--resume"] if resume else []), *told]
+        return ["campaign", *OPTIONS, "--out", str(out), *(["--resume"] if resume else []), *told]
 
     def whole(self, number: int) -> Path:
         """The folder after an uninterrupted command."""
@@ -246,7 +247,7 @@ class RealCampaign:
         arguments = self.arguments(out, number, resume=resume, tell=tell)
 
         def act() -> int:
-            with mock.patch.object(command, "_figures", lambda *_: None), mock.patch.dict(command.METHODS, {"map": QUICK}):
+            with mock.patch.object(command, "_figures"), mock.patch.dict(command.METHODS, {"map": QUICK}):
                 return main(arguments)
 
         return act
@@ -312,7 +313,7 @@ def run(real: RealCampaign, randoms: int, note: Callable[[str], None]) -> dict[s
             number = source.randrange(len(counts))
             after = 1e-3 + source.random() * real.seconds[number]
             ended, problem = real.interrupt(number, None, after=after, signum=signum)
-            plain = signum == signal.SIGKILL or ended.code in (0, 130) and ended.said.count("\n") <= 1
+            plain = signum == signal.SIGKILL or (ended.code in (0, 130) and ended.said.count("\n") <= 1)
             found[name].add(problem or (None if plain else f"after {after:.2f} s ended with {ended.code}: {ended.said}"))
     note(", ".join(f"{k} {v.same}/{v.tried}" for k, v in found.items()))
     return found

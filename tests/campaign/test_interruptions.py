@@ -3,6 +3,7 @@
 import os
 import shutil
 import signal
+from contextlib import suppress
 
 import pytest
 import torch
@@ -93,11 +94,8 @@ def test_that_a_campaign_whose_disk_is_full_from_any_operation_on_is_resumed_to_
     for at in range(2, count + 1, EVERY):
         trial = tmp_path / "trial"
         shutil.rmtree(trial, ignore_errors=True)
-        try:
-            with Disk(at, "full").watched():
-                work(trial)
-        except OSError as error:
-            assert "No space left on device" in str(error)
+        with suppress(OSError), Disk(at, "full").watched():
+            work(trial)
         opened(trial)
         work(trial)
         assert compare(trial, folder) is None, at

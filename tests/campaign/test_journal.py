@@ -187,12 +187,13 @@ def test_that_a_disk_that_is_full_from_any_operation_on_leaves_the_journal_as_be
     for at in range(1, counted.done + 1):
         journal, known = Journal(folder), len(Journal(folder).events)
         before = journal.path.read_bytes()
+        said = None
         try:
             with Disk(at, "full").watched():
                 journal.append("note", text=f"try {at}")
         except OSError as error:
-            assert "the last event was not recorded" in str(error)
-            assert journal.path.read_bytes() == before
+            said = str(error)
+        assert said is None or ("the last event was not recorded" in said and journal.path.read_bytes() == before)
         assert [len(x.events) for x in (journal, Journal(folder))] in ([known] * 2, [known + 1] * 2)
         journal.append("note", text=f"again {at}")  # the same object may go on once there is room
 
