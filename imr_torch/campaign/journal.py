@@ -2,8 +2,10 @@
 
 Each line ends with a checksum of itself and of the checksum before it, so lines that were edited, added, removed or moved are
 found when the journal is opened. ``journal.head`` holds the number of lines and the last checksum: by it, lines removed at the
-end are found as well. An incomplete last line, as a kill, a power cut or a full disk leaves it, is left out, and cut off before
-the next event is written. Measured curves are stored beside it as ``.npz`` (no pickles) and the line holds their SHA-256.
+end are found as well, unless the head is removed too. This finds mistakes, not a forger, who can compute checksums.
+
+An incomplete last line, as a kill, a power cut or a full disk leaves it, is left out, and cut off before the next event is
+written. Measured curves are stored beside the journal as ``.npz`` (no pickles) and the line holds their SHA-256.
 """
 
 import hashlib

@@ -8,10 +8,9 @@ stopped, with the same numbers bit for bit on one machine, on any number of work
 Experiments are numbered in the order in which they were told, and a number is not used again when an experiment is forgotten.
 """
 
-import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -22,58 +21,17 @@ from torch import Tensor
 from imr_torch.assimilate import Assimilation
 from imr_torch.campaign.admission import check_simulated
 from imr_torch.campaign.journal import Journal, curve_hash, differing
-from imr_torch.campaign.learners import ExactLearner, Learner, Observations, PaperLearner, finite
-from imr_torch.campaign.policies import PAPER_OPTIMAL, DesignPolicy, Optimal, Proposal, Situation
-from imr_torch.campaign.stopping import Standing, StoppingRule
-from imr_torch.design import DesignSearch, DesignSpace, Plan
+from imr_torch.campaign.learners import Observations, finite
+from imr_torch.campaign.policies import Proposal, Situation
+from imr_torch.campaign.settings import CampaignSettings, through_json
+from imr_torch.campaign.stopping import Standing
+from imr_torch.design import DesignSearch, Plan
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, collapse_time
 from imr_torch.select import Evidence
 from imr_torch.simulate import Simulator, described
 from imr_torch.types import Progress
-
-
-@dataclass(frozen=True)
-class CampaignSettings:
-    """How a campaign chooses, learns and ends.
-
-    Args:
-        space: designs that may be asked for.
-        plan: how each experiment will be observed.
-        policy: chooses designs.
-        learner: turns experiments into a belief.
-        stop: ends the campaign; None to go on as long as :meth:`Campaign.run` is asked to.
-
-    >>> from imr_torch.campaign import CampaignSettings, Designs, SpaceFilling
-    >>> settings = CampaignSettings(policy=SpaceFilling(), stop=Designs(5))
-    >>> settings.to_dict()["stop"]
-    {'kind': 'Designs', 'count': 5}
-    """
-
-    space: DesignSpace = field(default_factory=DesignSpace)
-    plan: Plan = field(default_factory=lambda: Plan(repeats=100))
-    policy: DesignPolicy = field(default_factory=Optimal)
-    learner: Learner = field(default_factory=ExactLearner)
-    stop: StoppingRule | None = None
-
-    @classmethod
-    def paper(cls) -> "CampaignSettings":
-        """Everything as in arXiv 2409.00011, defects included: its search, assimilation and model probability."""
-        return cls(policy=PAPER_OPTIMAL, learner=PaperLearner())
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready values, with the kind of every part."""
-        return _described(self)
-
-
-def _described(value: Any) -> Any:
-    """A dataclass and what it is made of as JSON-ready values."""
-    if is_dataclass(value):
-        return {"kind": type(value).__name__} | {f.name: _described(getattr(value, f.name)) for f in fields(value)}
-    if isinstance(value, tuple):
-        return [_described(part) for part in value]
-    return value.tolist() if isinstance(value, Tensor) else value
 
 
 @dataclass(frozen=True)
@@ -156,7 +114,7 @@ class Campaign:
 
     def _identify(self, note: dict[str, Any]) -> dict[str, Any]:
         """What the journal begins with, checked against the journal if there is one."""
-        identity = _through_json(
+        identity = through_json(
             {
                 "prior": self.prior.to_dict(),
                 "simulator": described(self.simulator),
@@ -374,6 +332,23 @@ class Campaign:
 
         Raises:
             InputDataError: if there is no such experiment.
+
+        >>> import tempfile
+        >>> import torch
+        >>> from imr_torch import PolytropicSimulator, reference_case
+        >>> from imr_torch.assimilate import SearchOptions
+        >>> from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner
+        >>> from imr_torch.material import PARAMETERS
+        >>> from imr_torch.observe import SimulatedLaboratory
+        >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+        >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+        >>> settings = CampaignSettings(learner=ExactLearner(64, SearchOptions(scouts=16, starts=2)))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     campaign = Campaign(folder, case.prior, simulator, settings=settings)
+        ...     _ = campaign.tell(laboratory.shoot(torch.tensor([400.0, 0.22]).double(), seed=0))
+        ...     campaign.forget(1)
+        ...     campaign.told, campaign.numbers, campaign.belief.probabilities == case.prior.probabilities
+        (1, [], True)
         """
         with self.journal.held():
             if number not in self.numbers:
@@ -471,18 +446,6 @@ class Campaign:
         if progress:
             progress(f"stopped: {reason}")
         return self.steps
-
-
-def _through_json(document: dict[str, Any]) -> dict[str, Any]:
-    """As it will read when it comes back from the journal."""
-    for name, part in document.items():
-        try:
-            json.dumps(part, allow_nan=False)
-        except (ValueError, TypeError) as error:
-            raise InputDataError(
-                f"Campaign: {name} cannot be written to a journal ({error}); give finite numbers, text, or dataclasses of them."
-            ) from None
-    return json.loads(json.dumps(document))
 
 
 def _infinite(values: dict[str, Any]) -> dict[str, Any]:
