@@ -1,6 +1,6 @@
 """What kills, full disks and interruptions leave of a campaign: is the resumed journal the uninterrupted one, byte for byte?
 
-  python benchmarks/interruptions.py [--data CSV] [--experiments a,b,c] [--random 40] [--json OUT]
+  python benchmarks/interruptions.py [--data CSV] [--experiments a,b,c] [--every 1] [--random 40] [--json OUT]
 
 Commands of a real campaign (what to shoot first; then a curve told at a time) run in processes of their own, which are
 - killed (SIGKILL) before and in the middle of every operation on the journal, its curves and the result: writes of half the
@@ -293,13 +293,13 @@ def split(data: Path, names: Sequence[str], folder: Path) -> list[Path]:
     return files
 
 
-def run(real: RealCampaign, randoms: int, note: Callable[[str], None]) -> dict[str, Tally]:
-    """All interruptions of all commands."""
+def run(real: RealCampaign, every: int, randoms: int, note: Callable[[str], None]) -> dict[str, Tally]:
+    """Interruptions of all commands: at every so many operations (0 for none), and so many at random."""
     found = {name: Tally() for name in ("killed at a disk operation", "full disk", "killed at random", "Ctrl-C at random")}
     counts = real.prepare()
     note(f"disk operations of each command {counts}; seconds {[round(s, 1) for s in real.seconds]}")
     for number, count in enumerate(counts):
-        for at in range(1, count + 1):
+        for at in range(1, count + 1, every) if every else ():
             ended, problem = real.interrupt(number, Disk(at, "kill"))
             wrong = None if ended.code == -signal.SIGKILL else f"ended with {ended.code}"
             found["killed at a disk operation"].add(problem or wrong)
@@ -311,7 +311,7 @@ def run(real: RealCampaign, randoms: int, note: Callable[[str], None]) -> dict[s
     for _ in range(randoms):
         for name, signum in (("killed at random", signal.SIGKILL), ("Ctrl-C at random", signal.SIGINT)):
             number = source.randrange(len(counts))
-            after = 1e-3 + source.random() * real.seconds[number]
+            after = 0.05 + source.random() * real.seconds[number]
             ended, problem = real.interrupt(number, None, after=after, signum=signum)
             plain = signum == signal.SIGKILL or (ended.code in (0, 130) and ended.said.count("\n") <= 1)
             found[name].add(problem or (None if plain else f"after {after:.2f} s ended with {ended.code}: {ended.said}"))
@@ -324,12 +324,13 @@ def start() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=EXAMPLE)
     parser.add_argument("--experiments", default="shot_1,shot_2,shot_3")
-    parser.add_argument("--random", type=int, default=40)
+    parser.add_argument("--every", type=int, default=1, help="operations from one that is failed to the next, 0 for none")
+    parser.add_argument("--random", type=int, default=40, help="interruptions at random times, of each kind")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         curves = split(args.data, args.experiments.split(","), Path(folder))
-        found = run(RealCampaign(Path(folder), curves), args.random, lambda text: print(text, flush=True))
+        found = run(RealCampaign(Path(folder), curves), args.every, args.random, lambda text: print(text, flush=True))
     for name, tally in found.items():
         print(f"{name}: {tally.same} of {tally.tried} resumed to the same journal")
         for problem in tally.problems[:5]:
