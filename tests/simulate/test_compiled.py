@@ -1,9 +1,11 @@
 """The compiled engine against the tensor engine: every law of the registries, the same steps, the same answer."""
 
 import os
+import signal
 import subprocess
 import sys
 import textwrap
+import time
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -292,3 +294,19 @@ def test_that_a_folder_that_cannot_be_written_is_no_obstacle(tmp_path: Path) -> 
     first, said = in_a_process(tmp_path / "file" / "cache")
     assert "cannot be written, so compiled code is not kept; set IMR_TORCH_CACHE" in said
     assert 0.0 < float(first) < 1.0
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a system that forks")
+def test_that_a_forked_process_has_threads_of_its_own() -> None:
+    simulator, many = PolytropicSimulator(threads=2), gel(mu=0.1).expand(8, -1)
+    before = simulator(many, DESIGNS[:1], TIMES).radius  # makes the threads
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if torch.equal(simulator(many, DESIGNS[:1], TIMES).radius, before) else 1)
+    deadline = time.monotonic() + 60.0
+    while (ended := os.waitpid(child, os.WNOHANG)) == (0, 0) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    if ended == (0, 0):
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+    assert ended == (child, 0)
