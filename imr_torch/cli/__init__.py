@@ -10,11 +10,11 @@ from collections.abc import Sequence
 
 import torch
 
-from imr_torch.cli import campaign, characterize, design, diagnose, simulate
+from imr_torch.cli import campaign, characterize, design, diagnose, plot, simulate
 from imr_torch.cli.common import add_engine_arguments
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError
 
-COMMANDS = (simulate, characterize, design, campaign, diagnose)
+COMMANDS = (simulate, characterize, design, campaign, diagnose, plot)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -45,6 +45,7 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     args = parser().parse_args(argv)
+    args.argv = list(sys.argv[1:] if argv is None else argv)
     torch.set_num_threads(1)  # of tensor operators, which are small here; the engine has threads of its own
     try:
         with warnings.catch_warnings():
