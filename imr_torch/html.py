@@ -9,6 +9,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import groupby
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -23,7 +24,8 @@ h1 { font-size: 1.6rem; line-height: 1.25; } h2 { font-size: 1.2rem; margin-top:
 .verdict { font-size: 1.15rem; background: #eef4f9; border-left: 4px solid #0072b2; padding: .6rem 1rem; }
 .warning { background: #fdf0e6; border-left-color: #d55e00; }
 .next { font-weight: 600; }
-figure { margin: 1rem 0; } figcaption { color: #444; font-size: .9rem; } img { max-width: 100%; height: auto; }
+.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 24rem), 1fr)); gap: 1rem; }
+figure { margin: 1rem 0; } figcaption { color: #444; font-size: .9rem; } img { max-width: min(100%, 44rem); height: auto; }
 ul { padding-left: 1.2rem; }
 table { border-collapse: collapse; margin: 1rem 0; width: 100%; }
 th, td { text-align: left; vertical-align: top; padding: .3rem .8rem .3rem 0; border-bottom: 1px solid #ddd; }
@@ -152,21 +154,16 @@ def write(text: str, path: str | Path) -> Path:
 
 
 def _block(block: Block) -> str:
-    parts: list[str] = []
-    listed: list[str] = []
-    for item in (*block.content, None):
-        if isinstance(item, str):
-            listed.append(f"<li>{escape(item)}</li>")
-            continue
-        if listed:
-            parts.append(f"<ul>{''.join(listed)}</ul>")
-            listed = []
-        if item is not None:
-            parts.append(_item(item))
-    inside = "\n".join(parts)
+    """A section; sentences side by side are a list, pictures side by side a grid."""
+    parts = []
+    for kind, items in groupby(block.content, key=lambda item: type(item) if isinstance(item, str | Picture) else None):
+        inside = [f"<li>{escape(item)}</li>" if isinstance(item, str) else _item(item) for item in items]
+        before, after = {str: ("<ul>", "</ul>"), Picture: ('<div class="figures">', "</div>")}.get(kind, ("", ""))
+        parts.append(before + "\n".join(inside) + after)
+    text = "\n".join(parts)
     if block.folded:
-        return f"<details><summary>{escape(block.heading)}</summary>\n{inside}</details>"
-    return f"<section><h2>{escape(block.heading)}</h2>\n{inside}</section>"
+        return f"<details><summary>{escape(block.heading)}</summary>\n{text}</details>"
+    return f"<section><h2>{escape(block.heading)}</h2>\n{text}</section>"
 
 
 def _item(item: Table | Picture | Preformatted) -> str:
@@ -184,7 +181,7 @@ def _item(item: Table | Picture | Preformatted) -> str:
 
 def _embedded(picture: Picture) -> str:
     stream = io.BytesIO()
-    picture.figure.savefig(stream, format="png", dpi=110, metadata={"Software": None})
+    picture.figure.savefig(stream, format="png", dpi=140, metadata={"Software": None})
     data = base64.b64encode(stream.getvalue()).decode()
     return (
         f'<figure><img alt="{escape(picture.alt)}" src="data:image/png;base64,{data}">'

@@ -237,8 +237,9 @@ def information_map(search: DesignSearch) -> dict[str, Any]:
     low, high = search.optimizer.space.bounds
     weber, rest = (torch.linspace(float(low[i]), float(high[i]), _GRID, dtype=torch.float64) for i in (0, 1))
     grid = torch.stack(torch.meshgrid(weber, rest, indexing="xy"), dim=-1)
+    model = search.optimizer.model()
     with torch.no_grad():
-        mean = search.optimizer.model().posterior(grid.reshape(-1, 2)).mean.reshape(_GRID, _GRID)
+        mean = model.posterior(grid.reshape(-1, 2)).mean.reshape(_GRID, _GRID)
     return {"We": weber.tolist(), "R_inf*": rest.tolist(), "nats": mean.tolist()}
 
 

@@ -62,7 +62,9 @@ def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys
         assert low < TRUTH[name] < high
         assert middle == pytest.approx(TRUTH[name], rel=0.1)
     figures = {path.name for path in out.glob("*.png")}
-    assert figures == {"curve_shot_1.png", "curve_shot_3.png", "parameter_G.png", "parameter_mu.png", "models.png"}
+    names = ("curve_shot_1", "curve_shot_3", "residuals", "parameters", "parameter_G", "parameter_mu")
+    assert figures == {f"{name}.png" for name in names}
+    assert {path.stem for path in out.glob("*.pdf")} == set(names)
     assert "4 curve(s)" not in (out / "report.txt").read_text()
     assert "converged" in capsys.readouterr().out
 

@@ -18,6 +18,7 @@ from imr_torch.characterize import prepare
 from imr_torch.cli.common import (
     add_physics_argument,
     add_workers_argument,
+    header_of,
     parse_pair,
     parse_values,
     progress_of,
@@ -28,6 +29,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.gap import Effect, describe, diagnose, examine, library, load_set, noise_of_traces, to_json, write_page
 from imr_torch.material import MATERIALS, wide_prior
 from imr_torch.observe import Experiment, Layout, Noise, load_traces
+from imr_torch.results.page import footer, provenance_table
 from imr_torch.simulate import Simulator
 
 _CHUNK = 360  # half of what 25 effects and three experiments take
@@ -78,7 +80,9 @@ def run(args: argparse.Namespace) -> None:
     print(describe(report, parts))
     write_result(args, to_json(report, parts) | {"seconds": time.perf_counter() - started})
     if args.html:
-        print(f"wrote {write_page(report, args.html, parts)}")
+        about = header_of(args)
+        page = write_page(report, args.html, parts, facts=provenance_table(about).rows, footer=footer(about))
+        print(f"wrote {page}")
 
 
 def _effects(args: argparse.Namespace) -> tuple[Effect, ...]:

@@ -149,7 +149,7 @@ def _of_axes(ax: Axes) -> Figure:
 
 def radius_figure(document: Mapping[str, Any]) -> Figure:
     """The curve of a simulated bubble, in t* and R* with us and um as second axes."""
-    figure, ax = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
+    figure, ax = plt.subplots(figsize=(5.8, 3.6), layout="constrained")
     ax.plot(document["t_star"], document["R_star"], color=MODEL, lw=1.5)
     ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
     last = document["t_star"][-1]
@@ -164,7 +164,7 @@ def curve_figure(curve: Mapping[str, Any], document: Mapping[str, Any]) -> Figur
         curve: an entry of ``curves``.
         document: the whole document.
     """
-    figure, (ax, below) = plt.subplots(2, 1, figsize=(7.0, 5.0), height_ratios=[3, 1], sharex=True, layout="constrained")
+    figure, (ax, below) = plt.subplots(2, 1, figsize=(5.8, 4.8), height_ratios=[3, 1], sharex=True, layout="constrained")
     probabilities, best = document["model_probabilities"], curve["band"]["model"]
     t, r, fitted = _measured(curve)
     band = curve["band"]
@@ -204,7 +204,7 @@ def curve_figure(curve: Mapping[str, Any], document: Mapping[str, Any]) -> Figur
 
 def residuals_figure(document: Mapping[str, Any]) -> Figure:
     """Standardised residuals of the most probable model over t* and R*, their autocorrelation, and their quantiles."""
-    figure, axes = plt.subplots(2, 2, figsize=(7.0, 5.6), layout="constrained")
+    figure, axes = plt.subplots(2, 2, figsize=(5.8, 5.0), layout="constrained")
     rows = []
     for curve in document["curves"]:
         t, r, fitted = _measured(curve)

@@ -74,22 +74,9 @@ def gel_table(document: Mapping[str, Any], best: str) -> Table:
     probability = document["model_probabilities"][best]
     rows = [("Model", f"{material(best).title}, probability {probability:.3f} among {len(document['models'])} candidate(s)")]
     for name, (low, middle, high) in document["models"][best]["intervals"].items():
-        rows.append((f"{name}, {PARAMETERS[name].meaning}", interval_text(name, low, middle, high)))
+        rows.append((f"{name}, {PARAMETERS[name].meaning}", PARAMETERS[name].interval(low, middle, high)))
     rows.append(("Misfit", f"{document['models'][best]['rmse']:.4f} in R* (root mean square)"))
     return Table(tuple(rows))
-
-
-def interval_text(name: str, low: float, middle: float, high: float) -> str:
-    """``8.3 kPa (90 %: 8.1 to 8.5)`` of a parameter in SI units.
-
-    >>> from imr_torch.results.page import interval_text
-    >>> interval_text("G", 8100.0, 8310.0, 8500.0)
-    '8.31 kPa (90 %: 8.1 to 8.5)'
-    """
-    entry = PARAMETERS[name]
-    scale, unit = entry.display_scale, entry.display_unit or entry.unit
-    shown = "" if unit in ("", "1") else f" {'µs' if unit == 'us' else unit}"
-    return f"{scale * middle:.4g}{shown} (90 %: {scale * low:.4g} to {scale * high:.4g})"
 
 
 def _assumed(document: Mapping[str, Any], best: str) -> Table:
@@ -145,7 +132,7 @@ def _models(document: Mapping[str, Any]) -> Table:
     for key in order:
         entry, probability = document["models"][key], document["model_probabilities"][key]
         shown = f"{probability:.3f}" if probability >= _IMPROBABLE else f"< {_IMPROBABLE:g}"
-        values = "; ".join(f"{name} {interval_text(name, *triple)}" for name, triple in entry["intervals"].items())
+        values = "; ".join(f"{name} {PARAMETERS[name].interval(*triple)}" for name, triple in entry["intervals"].items())
         rows.append((material(key).title, shown, f"{entry['rmse']:.4f}", values))
     return Table(tuple(rows), ("model", "probability", "misfit (R*)", "parameters"))
 
