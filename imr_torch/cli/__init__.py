@@ -12,6 +12,7 @@ import torch
 
 from imr_torch.cli import campaign, characterize, design, diagnose, plot, simulate
 from imr_torch.cli.common import add_engine_arguments
+from imr_torch.cli.progress import Terminal
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError
 
 COMMANDS = (simulate, characterize, design, campaign, diagnose, plot)
@@ -38,6 +39,7 @@ def parser() -> argparse.ArgumentParser:
         sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
         add_engine_arguments(sub)
         sub.add_argument("--quiet", action="store_true", help="no progress on the terminal")
+        sub.add_argument("--verbose", action="store_true", help="every step of the fits, instead of one line of progress")
         sub.set_defaults(run=module.run)
     return top
 
@@ -46,9 +48,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     args = parser().parse_args(argv)
     args.argv = list(sys.argv[1:] if argv is None else argv)
+    args.terminal = Terminal(args.command, quiet=args.quiet, verbose=args.verbose)
     torch.set_num_threads(1)  # of tensor operators, which are small here; the engine has threads of its own
     try:
-        with warnings.catch_warnings():
+        with args.terminal, warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the certificate is printed with the result
             args.run(args)
     except ConvergenceError as error:

@@ -14,6 +14,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.characterize import characterize
 from imr_torch.cli.common import (
     METHODS,
@@ -27,6 +28,7 @@ from imr_torch.cli.common import (
     write_result,
 )
 from imr_torch.cli.figures import save_figures, subfolder
+from imr_torch.cli.progress import characterize_stages
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_atomically
 from imr_torch.html import write
@@ -88,17 +90,18 @@ def run(args: argparse.Namespace) -> None:
         _show(document, report, args, folder)
         return
     results: dict[str, Any] = {}
-    for trace in traces:
+    for number, trace in enumerate(traces, start=1):
         print(f"\n--- {trace.experiment_id}")
-        document, report = _characterize(traces.select([trace.experiment_id]), args)
+        one, label = traces.select([trace.experiment_id]), f"curve {number} of {len(traces)}"
+        document, report = _characterize(one, args, label)
         results[trace.experiment_id] = document
         write_result(args, {"each": results})
         _show(document, report, args, folder / subfolder(trace.experiment_id) if folder else None)
 
 
-def _characterize(traces: TraceSet, args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -> tuple[dict[str, Any], str]:
     """Fit some curves together and print the result: its document and the report."""
-    simulator = simulator_of(args)
+    simulator, rounds = simulator_of(args), NOISE_ROUNDS if args.noise == "estimated" else 0
     result = characterize(
         traces,
         prior=prior_of(args),
@@ -109,7 +112,7 @@ def _characterize(traces: TraceSet, args: argparse.Namespace) -> tuple[dict[str,
         options=METHODS[args.method],
         scores=args.scores,
         seed=args.seed,
-        progress=progress_of(args),
+        progress=progress_of(args, characterize_stages(rounds, scores=args.scores), label),
     )
     command = diagnose_command(args, result.posterior.best)
     said = result.report(command)

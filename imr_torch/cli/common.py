@@ -2,8 +2,7 @@
 
 import argparse
 import shlex
-import sys
-import time
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,6 +13,7 @@ from matplotlib.figure import Figure
 
 from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.cli.figures import save
+from imr_torch.cli.progress import Stage, Terminal
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
@@ -141,12 +141,19 @@ def parse_pair(text: str | None, option: str) -> tuple[float, float] | None:
     return first, second
 
 
-def progress_of(args: argparse.Namespace) -> Progress | None:
-    """A line to standard error with the time since the start, or None with ``--quiet``."""
+def progress_of(args: argparse.Namespace, stages: Sequence[Stage] = (), label: str = "") -> Progress | None:
+    """Where a command reports its steps, or None with ``--quiet``.
+
+    Args:
+        args: the options; ``terminal`` is made where the command line was not run through :func:`imr_torch.cli.main`.
+        stages: the stages to come.
+        label: what they are of.
+    """
     if args.quiet:
         return None
-    started = time.monotonic()
-    return lambda text: print(f"[{time.monotonic() - started:6.1f} s] {text}", file=sys.stderr, flush=True)
+    terminal = getattr(args, "terminal", None) or Terminal(args.command, verbose=getattr(args, "verbose", False), live=False)
+    terminal.plan(stages, label)
+    return terminal
 
 
 def save_figure(ax: Axes, folder: Path, name: str) -> Path:

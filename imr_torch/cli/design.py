@@ -22,6 +22,7 @@ from imr_torch.cli.common import (
     write_result,
 )
 from imr_torch.cli.figures import save_figures
+from imr_torch.cli.progress import DESIGN
 from imr_torch.design import (
     STRATEGIES,
     AdaptiveContrastive,
@@ -137,7 +138,7 @@ def run(args: argparse.Namespace) -> None:
         initial=min(Optimal.initial, args.evaluations),
         batch=Optimal.batch,
         strategy=STRATEGIES[args.strategy],
-        progress=progress_of(args),
+        progress=progress_of(args, DESIGN),
     )
     steps = (*search.earlier, search)
     document = search_document(steps, simulator.conditions.surroundings)

@@ -25,6 +25,7 @@ from imr_torch.cli.common import (
     simulator_of,
     write_result,
 )
+from imr_torch.cli.progress import DIAGNOSE
 from imr_torch.errors import InputDataError
 from imr_torch.gap import Effect, describe, diagnose, examine, library, load_set, noise_of_traces, to_json, write_page
 from imr_torch.material import MATERIALS, wide_prior
@@ -74,7 +75,7 @@ def run(args: argparse.Namespace) -> None:
     if not fitted:
         raise InputDataError(f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer.")
     noise = _noise(args, fitted)
-    progress = progress_of(args)
+    progress = progress_of(args, DIAGNOSE)
     report = diagnose(fitted, base=base, effects=effects, noise=noise, simulator=simulator, seed=args.seed, progress=progress)
     parts = examine(report, simulator, unseen=held_out, seed=args.seed, progress=progress)
     print(describe(report, parts))

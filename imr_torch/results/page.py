@@ -98,6 +98,8 @@ def _assumed(document: Mapping[str, Any], best: str) -> Table:
         rows.append(("Known before", ", ".join(f"{name} = {value:g} {PARAMETERS[name].unit}" for name, value in known.items())))
     if "medium" in document:
         rows.append(("Medium", _medium(document)))
+    if "software" in document:
+        rows.append(("Made by", footer(document)))
     return Table(tuple(rows))
 
 
