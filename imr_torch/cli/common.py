@@ -170,7 +170,8 @@ def command_line(args: argparse.Namespace) -> str:
 
 def header_of(args: argparse.Namespace) -> dict[str, Any]:
     """What the result of a command says of itself: schema, software, date, command, files, medium, physics, seed."""
-    files = [*(getattr(args, "files", None) or ()), *(getattr(args, "tell", None) or ())]
+    belief = getattr(args, "belief", None)
+    files = [*(getattr(args, "files", None) or ()), *(getattr(args, "tell", None) or ()), *([belief] if belief else [])]
     physics = getattr(args, "physics", None)
     medium = SIMULATORS[physics].conditions.surroundings if physics else None
     return header(args.command, files=files, medium=medium, command=command_line(args)) | {
