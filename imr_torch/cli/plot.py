@@ -3,8 +3,8 @@
   imr-torch plot result/characterize.json
   imr-torch plot result/characterize.json --out paper --format pdf,svg --html gel.html
 
-Nothing is computed again. Results of characterize, design and simulate hold what their figures need. Figures go beside the
-JSON file, or into --out.
+Nothing is computed again. Results of characterize, diagnose, design and simulate hold what their figures need. Figures go
+beside the JSON file, or into --out.
 """
 
 import argparse

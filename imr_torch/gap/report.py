@@ -1,4 +1,4 @@
-"""A diagnosis as text and as JSON: the gap, its location, its cause, its reduction, and what was not tested.
+"""A diagnosis as text: the gap, its location, its cause, its reduction, and what was not tested.
 
 The report is a list of sections, each a heading with sentences; the printed text and the HTML page show the same list. What was
 not tested or cannot be concluded is a section of its own, with the reasons.
@@ -7,7 +7,6 @@ not tested or cannot be concluded is a section of its own, with the reasons.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from scipy.optimize import brentq
@@ -16,7 +15,6 @@ from scipy.stats import chi2, ncx2
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.attribute import ADEQUATE
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.score import LEVEL, BlockResult
 from imr_torch.material import LIBRARY, PARAMETERS
@@ -369,49 +367,3 @@ def _certificates(report: GapReport) -> tuple[str, ...]:
 def _p(value: float) -> str:
     """A p-value as text."""
     return f"p = {value:.2g}" if value > 1e-10 else "p < 1e-10"
-
-
-def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
-    """The report as JSON-ready values; null for every part that was not run.
-
-    >>> import torch
-    >>> from imr_torch import PolytropicSimulator
-    >>> from imr_torch.gap import diagnose, to_json
-    >>> from imr_torch.material import PARAMETERS, library
-    >>> from imr_torch.observe import SimulatedLaboratory
-    >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=5)
-    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
-    >>> report = diagnose([shot], effects=library(["sound_speed"]), simulator=PolytropicSimulator())
-    >>> to_json(report)["verdict"]
-    'none'
-    """
-    parts = parts or Parts()
-    found, when, judged, ahead = report.attribution, parts.onset, parts.shrinkage, parts.next_design
-    return {
-        "gap": report.found,
-        "p_gap": report.gap.p_value,
-        "bias_sigma": report.gap.bias_sigma,
-        "onset_t": None if when is None or when.phase == "none" else when.time,
-        "onset_phase": None if when is None else when.phase,
-        "verdict": report.verdict,
-        "cause": list(report.cause),
-        "posterior": None if found is None else found.posterior,
-        "credible_set": None if found is None else list(found.credible_set()),
-        "adequacy_p": report.adequacy_p,
-        "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
-        "best_rival": None if judged is None else judged.rival,
-        "cause_values": cause_values(report),
-        "parameter_shift": parameter_shift(report),
-        "parameters": parameters(report),
-        "headline": headline(report),
-        "next_step": next_step(report, parts),
-        "next_design": None if ahead is None else _design(ahead),
-        "converged": report.converged,
-        "seconds": report.seconds,
-    }
-
-
-def _design(found: NextDesign) -> dict[str, Any]:
-    """The next design, its gain in nats and what it tells apart."""
-    weber, rest = found.design.tolist()
-    return {"We": weber, "R_inf*": rest, "gain": found.gain, "gain_sd": found.error, "tells_apart": list(found.causes)}

@@ -16,6 +16,8 @@ from matplotlib.figure import Figure
 from scipy.stats import norm
 
 from imr_torch.errors import InputDataError
+from imr_torch.gap.plots import plot_causes, plot_scores
+from imr_torch.gap.score import BlockResult, GapTest
 from imr_torch.labels import R_STAR, T_STAR, file_name, plain
 from imr_torch.material import Belief, material
 from imr_torch.plot import (
@@ -63,7 +65,7 @@ def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
     """The figures of a result document.
 
     Args:
-        document: of ``characterize`` (one, or ``each``), ``design`` or ``simulate``.
+        document: of ``characterize``, ``diagnose``, ``design`` or ``simulate``.
 
     Raises:
         InputDataError: for a document that holds nothing to draw.
@@ -75,14 +77,16 @@ def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
     """
     if "curves" in document and "belief" in document:
         return list(_of_characterization(document))
+    if "curves" in document and "verdict" in document:
+        return list(_of_diagnosis(document))
     if "evaluations" in document and "map" in document:
         return list(_of_design(document))
     if "R_star" in document and "t_star" in document:
         return [NamedFigure("radius", "Radius over time.", "Line chart of R over t.", lambda: radius_figure(document))]
     name = document.get("schema", {}).get("name", "without a schema")
     raise InputDataError(
-        f"The document ({name}) holds no curves or map to draw; figures are drawn from results of characterize, design and "
-        "simulate."
+        f"The document ({name}) holds no curves or map to draw; figures are drawn from results of characterize, diagnose, "
+        "design and simulate."
     )
 
 
@@ -128,6 +132,49 @@ def _of_characterization(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             "Bar chart of model probabilities.",
             lambda: _of_axes(plot_probabilities(beliefs)),
         )
+
+
+def _of_diagnosis(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+    for curve in document["curves"]:
+        yield NamedFigure(
+            f"curve_{file_name(curve['id'])}",
+            f"{curve['id']}: measured, the base model and the model with the cause; below, residuals over their noise.",
+            f"Line chart of radius over time of {curve['id']}.",
+            lambda curve=curve: diagnosis_figure(curve),
+        )
+    blocks = tuple(
+        BlockResult(**row | {"power": math.nan if row["power"] is None else row["power"]}) for row in document["tests"]
+    )
+    yield NamedFigure(
+        "tests",
+        "Tests of the base model's residual.",
+        f"Bar chart of {len(blocks)} tests.",
+        lambda: _of_axes(plot_scores(GapTest(document["p_gap"], blocks, document["bias_sigma"], 0.0))),
+    )
+    if document["posterior"]:
+        yield NamedFigure(
+            "causes",
+            "Probability of each cause.",
+            "Bar chart of probabilities.",
+            lambda: _of_axes(plot_causes(document["posterior"])),
+        )
+
+
+def diagnosis_figure(curve: Mapping[str, Any]) -> Figure:
+    """One mean measured curve with the base model and the model with the cause, and residuals below."""
+    figure, (ax, below) = plt.subplots(2, 1, figsize=(5.2, 4.4), height_ratios=[2, 1], sharex=True, layout="constrained")
+    t, r, sd = (_floats(curve[name]) for name in ("t_star", "R_star", "sd"))
+    ax.plot(t, r, ".", ms=4, color=DATA, label="measured")
+    below.axhspan(-2.0, 2.0, color="#E2E2E2", lw=0)
+    for name, label, color, style in (("base", "base model", SECOND, "--"), ("with_cause", "with the cause", MODEL, "-")):
+        if curve[name] is not None:
+            ax.plot(t, _floats(curve[name]), color=color, ls=style, lw=1.3, label=label)
+            below.plot(t, (r - _floats(curve[name])) / sd, color=color, ls=style, lw=1.2)
+    ax.set(ylabel=R_STAR, ylim=(0.0, None))
+    ax.set_title(plain(curve["id"]), fontsize=10)
+    ax.legend(frameon=False, fontsize=8)
+    below.set(xlabel=T_STAR, ylabel="residual / noise")
+    return figure
 
 
 def _of_design(document: Mapping[str, Any]) -> Iterator[NamedFigure]:

@@ -20,6 +20,23 @@ def characterization_page(document: Mapping[str, Any], *, title: str = "", repor
         document: of ``characterize``, with its header.
         title: of the page; the names of the files when not given.
         report: the printed report, folded away at the end.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
+    >>> from imr_torch.assimilate import SearchOptions
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import RadiusTrace, TraceSet
+    >>> from imr_torch.results import characterization_document, characterization_page, header
+    >>> from imr_torch.units import Surroundings
+    >>> simulator, size, times = PolytropicSimulator(), 221e-6, torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
+    >>> bubble = simulator(PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), torch.tensor([200.0, 0.2]).double(), times)
+    >>> traces = TraceSet((RadiusTrace("a", times * Surroundings().time_scale(size), size * bubble.radius, "example"),))
+    >>> options = SearchOptions(scouts=16, starts=2)
+    >>> prior = wide_prior(["nhkv"])
+    >>> result = characterize(traces, prior=prior, simulator=simulator, rest_radius=(0.2, 0.002), options=options)
+    >>> document = header("characterize") | characterization_document(result, traces, simulator, draws=5)
+    >>> "<title>Gel 7</title>" in characterization_page(document, title="Gel 7")
+    True
     """
     best = max(document["model_probabilities"], key=document["model_probabilities"].__getitem__)
     names = ", ".join(entry["name"] for entry in document.get("files", ()) if not entry["name"].endswith(".json"))

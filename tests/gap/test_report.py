@@ -22,7 +22,21 @@ from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.simulate import PolytropicSimulator
 
-FOUND = ("gap", "p_gap", "bias_sigma", "verdict", "cause", "converged", "seconds", "parameters", "headline", "next_step")
+FOUND = (
+    "gap",
+    "p_gap",
+    "bias_sigma",
+    "verdict",
+    "cause",
+    "converged",
+    "seconds",
+    "parameters",
+    "headline",
+    "next_step",
+    "tests",
+    "curves",
+    "noise",
+)
 PARTS = ("onset_t", "onset_phase", "shrinkage", "best_rival", "next_design")
 CAUSES = ("posterior", "credible_set", "adequacy_p", "parameter_shift", "cause_values")
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
