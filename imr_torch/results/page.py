@@ -92,7 +92,7 @@ def gel_table(document: Mapping[str, Any], best: str) -> Table:
     rows = [("Model", f"{material(best).title}, probability {probability:.3f} among {len(document['models'])} candidate(s)")]
     for name, (low, middle, high) in document["models"][best]["intervals"].items():
         rows.append((f"{name}, {PARAMETERS[name].meaning}", PARAMETERS[name].interval(low, middle, high)))
-    rows.append(("Misfit", f"{document['models'][best]['rmse']:.4f} in R* (root mean square)"))
+    rows.append(("Residual", f"{document['models'][best]['rmse']:.4f} in R* (root mean square)"))
     return Table(tuple(rows))
 
 
@@ -101,7 +101,7 @@ def _assumed(document: Mapping[str, Any], best: str) -> Table:
     recorded = sum(c["frames"]["recorded"] for c in document["curves"])
     noise = document["noise"]
     rows = [
-        ("Curves", f"{len(document['curves'])} of one gel, fitted together: {fitted} of {recorded} frames"),
+        ("Curves", f"{len(document['curves'])}, taken to be of one gel: {fitted} of {recorded} frames were fitted"),
         ("Bubble", _PHYSICS.get(document.get("physics", ""), "as the simulator that was given makes it")),
         (
             "Noise",
@@ -153,7 +153,7 @@ def _models(document: Mapping[str, Any]) -> Table:
         shown = f"{probability:.3f}" if probability >= _IMPROBABLE else f"< {_IMPROBABLE:g}"
         values = "; ".join(f"{name} {PARAMETERS[name].interval(*triple)}" for name, triple in entry["intervals"].items())
         rows.append((material(key).title, shown, f"{entry['rmse']:.4f}", values))
-    return Table(tuple(rows), ("model", "probability", "misfit (R*)", "parameters"))
+    return Table(tuple(rows), ("model", "probability", "residual (R*)", "parameters"))
 
 
 def _certificates(document: Mapping[str, Any]) -> tuple[str, ...]:
