@@ -1,9 +1,12 @@
 """The command ``imr-torch``: one file per subcommand, results as text, JSON and figures.
 
-Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that did not converge.
+Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that did not converge or a file
+that could not be written, 130 interrupted by the user.
 """
 
 import argparse
+import io
+import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -14,6 +17,7 @@ from imr_torch.cli import campaign, characterize, design, diagnose, plot, simula
 from imr_torch.cli.common import add_engine_arguments
 from imr_torch.cli.progress import Terminal
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError
+from imr_torch.files import check_target
 
 COMMANDS = (simulate, characterize, design, campaign, diagnose, plot)
 
@@ -50,14 +54,37 @@ def main(argv: Sequence[str] | None = None) -> int:
     args.argv = list(sys.argv[1:] if argv is None else argv)
     args.terminal = Terminal(args.command, quiet=args.quiet, verbose=args.verbose)
     torch.set_num_threads(1)  # of tensor operators, which are small here; the engine has threads of its own
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names of experiments on a terminal that lacks their letters
     try:
+        _check_targets(args)
         with args.terminal, warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the certificate is printed with the result
             args.run(args)
+        sys.stdout.flush()
     except ConvergenceError as error:
-        print(f"imr-torch: not converged: {error}", file=sys.stderr)
-        return 1
+        return _ended(f"not converged: {error}", 1)
     except ImrError as error:
-        print(f"imr-torch: {error}", file=sys.stderr)
-        return 2
+        return _ended(str(error), 2)
+    except BrokenPipeError:  # whoever read the output has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except OSError as error:  # a full disk, a folder without permission
+        return _ended(f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", 1)
+    except KeyboardInterrupt as error:
+        return _ended(str(error) or "stopped; what was written is complete", 130)
     return 0
+
+
+def _ended(message: str, status: int) -> int:
+    """Say in one line why a command ended; returns the exit status."""
+    print(f"imr-torch: {message}", file=sys.stderr)
+    return status
+
+
+def _check_targets(args: argparse.Namespace) -> None:
+    """Refuse files and folders that could not be written, before any work is done."""
+    for option, folder in (("json", False), ("html", False), ("out", True)):
+        if path := getattr(args, option, None):
+            check_target(path, f"--{option}", folder=folder)

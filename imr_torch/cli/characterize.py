@@ -11,16 +11,18 @@ curves, which frames were fitted and which were not, and why.
 
 import argparse
 import shlex
+import sys
 from pathlib import Path
 from typing import Any
 
 from imr_torch.assimilate import NOISE_ROUNDS
-from imr_torch.characterize import characterize
+from imr_torch.characterize import EFFORTS, characterize
 from imr_torch.cli.common import (
     METHODS,
     add_physics_argument,
     add_prior_arguments,
     header_of,
+    names_of,
     parse_pair,
     prior_of,
     progress_of,
@@ -29,11 +31,11 @@ from imr_torch.cli.common import (
 )
 from imr_torch.cli.figures import save_figures, subfolder
 from imr_torch.cli.progress import characterize_stages
-from imr_torch.errors import InputDataError
+from imr_torch.errors import ConvergenceError, ImrError, InputDataError
 from imr_torch.files import write_atomically
 from imr_torch.html import write
 from imr_torch.material import ModelBelief
-from imr_torch.observe import Layout, TraceSet, load_traces
+from imr_torch.observe import Layout, TraceSet, load_traces, prepare
 from imr_torch.results import characterization_document, characterization_page, draw_figures
 
 NAME = "characterize"
@@ -67,6 +69,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the most probable gel by multistart Gauss-Newton (default), or hybrid ensemble 4D-Var, with the data's own "
         "likelihood or with the tempered one of arXiv 2409.00011; draws are weighed by the posterior after either",
     )
+    parser.add_argument(
+        "--effort",
+        choices=tuple(EFFORTS),
+        default="normal",
+        help="how far draws are weighed where they do not settle the intervals of a model (default normal)",
+    )
     parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
     parser.add_argument("--html", metavar="FILE", help="write the result with its figures as one HTML file")
     add_physics_argument(parser)
@@ -80,37 +88,62 @@ def run(args: argparse.Namespace) -> None:
     if args.each and args.html:
         raise InputDataError("--html shows one gel, and --each fits every curve by itself; leave one of them out.")
     traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
-    if args.experiments:
-        traces = traces.select([name.strip() for name in args.experiments.split(",")])
+    if args.experiments is not None:
+        traces = traces.select(names_of(args.experiments, "--experiments"))
     print(traces.report())
-    folder = Path(args.out) if args.out else None
-    if not args.each:
-        document, report = _characterize(traces, args)
-        write_result(args, document)  # before any figure, so that nothing computed is lost if one fails
-        _show(document, report, args, folder)
+    if args.each:
+        _each(traces, args)
         return
+    document, report, converged = _characterize(traces, args)
+    write_result(args, document)  # before any figure, so that nothing computed is lost if one fails
+    _show(document, report, args, Path(args.out) if args.out else None)
+    if not converged:
+        raise ConvergenceError("a fit has not converged (see its certificate above), so its numbers are not to be used.")
+
+
+def _each(traces: TraceSet, args: argparse.Namespace) -> None:
+    """Fit every curve by itself; one that cannot be fitted is reported, and the others are kept, also on an interruption."""
     results: dict[str, Any] = {}
-    for number, trace in enumerate(traces, start=1):
-        print(f"\n--- {trace.experiment_id}")
-        one, label = traces.select([trace.experiment_id]), f"curve {number} of {len(traces)}"
-        document, report = _characterize(one, args, label)
-        results[trace.experiment_id] = document
+    wrong: dict[str, ImrError] = {}
+    try:
+        for number, trace in enumerate(traces, start=1):
+            print(f"\n--- {trace.experiment_id}")
+            one, label = traces.select([trace.experiment_id]), f"curve {number} of {len(traces)}"
+            try:
+                document, report, converged = _characterize(one, args, label)
+            except ImrError as error:
+                print(f"imr-torch: {error}", file=sys.stderr)
+                wrong[trace.experiment_id], results[trace.experiment_id] = error, {"error": str(error)}
+                continue
+            results[trace.experiment_id] = document
+            if not converged:
+                wrong[trace.experiment_id] = ConvergenceError("a fit has not converged.")
+            _show(document, report, args, Path(args.out) / subfolder(trace.experiment_id) if args.out else None)
+    finally:
         write_result(args, {"each": results})
-        _show(document, report, args, folder / subfolder(trace.experiment_id) if folder else None)
+    if wrong:
+        kind = InputDataError if any(isinstance(x, InputDataError) for x in wrong.values()) else ConvergenceError
+        raise kind(
+            f"{len(wrong)} of {len(traces)} curves have no result to be used: {', '.join(wrong)}; the others are written."
+        )
 
 
-def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -> tuple[dict[str, Any], str]:
-    """Fit some curves together and print the result: its document and the report."""
+def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -> tuple[dict[str, Any], str, bool]:
+    """Fit some curves together and print the result: its document, the report, and whether all fits have converged."""
     simulator, rounds = simulator_of(args), NOISE_ROUNDS if args.noise == "estimated" else 0
+    prior, rest_radius = prior_of(args), parse_pair(args.rest_radius, "--rest-radius")
+    prepared = prepare(traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius)
+    print(prepared.report())
     result = characterize(
         traces,
-        prior=prior_of(args),
+        prior=prior,
         simulator=simulator,
         estimate_noise=args.noise == "estimated",
         collapses=args.collapses,
-        rest_radius=parse_pair(args.rest_radius, "--rest-radius"),
+        rest_radius=rest_radius,
         options=METHODS[args.method],
         scores=args.scores,
+        effort=args.effort,
         seed=args.seed,
         progress=progress_of(args, characterize_stages(rounds, scores=args.scores), label),
     )
@@ -118,7 +151,8 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -
     said = result.report(command)
     print("\n" + said)
     document = characterization_document(result, traces, simulator, command=command, seed=args.seed)
-    return document, traces.report() + "\n\n" + said + "\n"
+    report = "\n\n".join((traces.report(), prepared.report(), said)) + "\n"
+    return document, report, result.assimilation.converged
 
 
 def _show(document: dict[str, Any], report: str, args: argparse.Namespace, folder: Path | None) -> None:

@@ -55,6 +55,8 @@ def save_figures(figures: Sequence[NamedFigure], folder: Path, formats: Sequence
         try:
             save(item.draw(), folder, item.name, formats)
             count += 1
+        except OSError:  # a full disk, a folder without permission: no figure can be written
+            raise
         except Exception as error:  # whatever fails in drawing, the numbers are kept
             plt.close("all")
             print(f"imr-torch: the figure {item.name} could not be drawn ({type(error).__name__}: {error})", file=sys.stderr)

@@ -35,6 +35,9 @@ def run(args: argparse.Namespace) -> None:
     folder = Path(args.out) if args.out else Path(args.file).parent
     if "each" in document:
         for name, part in document["each"].items():
+            if "error" in part:
+                print(f"{name}: not fitted: {part['error']}")
+                continue
             save_figures(draw_figures(part), folder / subfolder(name), formats)
         if args.html:
             raise InputDataError("--html: the result holds one fit per curve (--each), and a page shows one; leave --html out.")

@@ -157,4 +157,7 @@ def _given_beside(path: Path, names: list[str]) -> tuple[dict[str, Given], list[
 def _given(entry: dict[str, Any]) -> Given:
     names = ("Rmax_m", "t_Rmax_s", "Rinf_m", "Rinf_tail_std_m")
     top, time, rest, sd = (None if entry.get(name) is None else float(entry[name]) for name in names)
-    return Given(top, time, rest, sd, entry.get("Rinf_settled"))
+    settled = entry.get("Rinf_settled")
+    if settled is not None and not isinstance(settled, bool):
+        raise InputDataError(f"Rinf_settled is {settled!r}; expected true or false.")
+    return Given(top, time, rest, sd, settled)

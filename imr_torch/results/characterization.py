@@ -94,6 +94,7 @@ def characterization_document(
         "fit_test": check,
         "rows_left_out": left_out,
         "notes": list(traces.notes),
+        "cautions": list(result.prepared.cautions),
         "curves": curves,
     }
 

@@ -71,7 +71,7 @@ def characterization_page(document: Mapping[str, Any], *, title: str = "", repor
         blocks.append(Block("The report as text", (Preformatted(report),), folded=True))
     text = page(
         title or f"Gel in {names or 'the given curves'}",
-        [sentence],
+        [sentence, *(f"Caution: {text}" for text in document.get("cautions", ()))],
         blocks,
         warning=warning,
         next_step=_next_step(document),
