@@ -94,7 +94,6 @@ def characterization_document(
         "fit_test": check,
         "rows_left_out": left_out,
         "notes": list(traces.notes),
-        "cautions": list(result.prepared.cautions),
         "curves": curves,
     }
 

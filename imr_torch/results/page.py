@@ -11,6 +11,7 @@ from imr_torch.results.figures import NamedFigure, draw_figures
 
 _FIGURES = 12  # shown at once; the others are folded away
 _IMPROBABLE = 0.001
+_ALONE = 1e299  # agreement that stands for infinity, which JSON has not
 
 
 def characterization_page(document: Mapping[str, Any], *, title: str = "", report: str = "") -> str:
@@ -161,9 +162,11 @@ def _certificates(document: Mapping[str, Any]) -> tuple[str, ...]:
     for key, entry in document["models"].items():
         found = entry["certificate"]
         word = "converged" if found["converged"] else "NOT CONVERGED"
+        alone = found["agreement"] >= _ALONE
+        agree = "one start alone ended well" if alone else f"starts agree within {found['agreement']:.2g} nats"
         lines.append(
-            f"{material(key).title}: {word} (gradient {found['gradient']:.1e} sd, starts agree within "
-            f"{found['agreement']:.2g} nats, {found['iterations']} iterations). {entry['gaussian_answer']}"
+            f"{material(key).title}: {word} (gradient {found['gradient']:.1e} sd, {agree}, {found['iterations']} iterations). "
+            f"{entry['draws']}"
         )
     return tuple(lines)
 
