@@ -23,6 +23,7 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.errors import InputDataError
+from imr_torch.gap import FitTest, check_fit
 from imr_torch.material import Belief, ModelBelief, wide_prior
 from imr_torch.observe import (
     Experiment,
@@ -34,6 +35,7 @@ from imr_torch.observe import (
     predict,
     prepare,
 )
+from imr_torch.observe.frames import FrameUse, frame_use
 from imr_torch.random import child
 from imr_torch.select import (
     Evidence,
@@ -69,6 +71,7 @@ class Effort:
 
 EFFORTS = {"normal": Effort(4, 3.0), "thorough": Effort(8, 7.0)}
 _CURVES_LISTED = 10
+_NOISE_LEVELS = 21  # quantiles of the noise in a predictive band
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,8 @@ class Characterization:
         posterior: parameters and model probabilities after the data.
         seconds: processor time.
         scores: held-out log density of each model, summed over all curves; empty if none was held out.
+        frames: which frames of each record were fitted.
+        fit_test: whether the most probable model explains the curves; None where that was not asked for.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -110,6 +115,8 @@ class Characterization:
     posterior: Belief
     seconds: float
     scores: tuple[PredictiveScore, ...] = ()
+    frames: tuple[FrameUse, ...] = ()
+    fit_test: FitTest | None = None
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -148,13 +155,20 @@ class Characterization:
             "models": models,
             "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
             "noise": vars(self.noise),
+            "fit_test": None if self.fit_test is None else self.fit_test.to_dict(),
+            "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),
             "cpu_seconds": self.seconds,
         }
 
-    def report(self) -> str:
-        """The result as text: a table per model, with its certificate."""
-        lines = [f"{len(self.experiments)} curve(s); noise {self.noise}"]
+    def report(self, command: str = "imr-torch diagnose") -> str:
+        """The result as text: whether the fit explains the curves, the frames used, a table per model with its certificate.
+
+        Args:
+            command: what to try if the model does not explain the curves.
+        """
+        lines = [self.fit_test.sentence(command)] if self.fit_test else []
+        lines += [f"{len(self.experiments)} curve(s); noise {self.noise}", *(x for use in self.frames for x in use.lines())]
         order = sorted(self.assimilation.fits, key=lambda f: -self.posterior.probabilities[f.model])
         errors = probability_errors(self.assimilation.prior, self.evidence)
         for fit in order:
@@ -205,6 +219,7 @@ def characterize(
     rest_radius: tuple[float, float] | None = None,
     options: FitOptions | None = None,
     scores: bool = False,
+    check: bool = True,
     effort: str = "normal",
     seed: int = 0,
     progress: Progress | None = None,
@@ -223,6 +238,7 @@ def characterize(
             :class:`imr_torch.assimilate.En4DVarOptions`.
         scores: whether the prediction of held-out curves is scored too (each alone up to five, more in four parts), with the
             noise that was estimated from all.
+        check: whether to test if the most probable model explains the curves (:func:`imr_torch.gap.check_fit`).
         effort: how far draws are weighed where they do not settle the intervals: ``"normal"`` or ``"thorough"``, see
             ``EFFORTS``.
         seed: of everything random.
@@ -282,11 +298,28 @@ def characterize(
         own = child(seed, "scores")
         search = options if isinstance(options, SearchOptions) else None
         found = sum_over_folds(cross_validate(weighed, simulator, seed=own, options=search, progress=progress))
-    return Characterization(prepared, weighed, evidence, posterior, time.process_time() - started, found)
+    tested = None
+    if check:
+        if progress:
+            progress("fit test: does the model explain the curves?")
+        tested = check_fit(weighed[posterior.best.model], weighed.batch, simulator, seed=child(seed, "check"))
+    surroundings = simulator.conditions.surroundings
+    used = tuple(
+        frame_use(trace, prepared.landmarks[trace.experiment_id], experiment, surroundings, collapses=collapses)
+        for trace, experiment in zip(traces, prepared.experiments, strict=True)
+    )
+    return Characterization(prepared, weighed, evidence, posterior, time.process_time() - started, found, used, tested)
 
 
 def predictive_band(
-    result: Assimilation, posterior: Belief, simulator: Simulator, model: str, *, draws: int = 100, seed: int = 0
+    result: Assimilation,
+    posterior: Belief,
+    simulator: Simulator,
+    model: str,
+    *,
+    draws: int = 100,
+    seed: int = 0,
+    times: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Posterior predictive quantiles (5, 50, 95 %) of single frames: three ``E x T`` tensors, R/Rmax.
 
@@ -297,13 +330,20 @@ def predictive_band(
         model: whose prediction.
         draws: posterior draws.
         seed: of the draws.
+        times: ``E x T`` tensor, dimensionless, increasing; those of the frames when not given.
     """
     fit, batch = result[model], result.batch
     part = posterior[model]
     controls = part.controls(draws, seed=seed)
     shifts = (fit.nuisances * batch.nuisance_sds).expand(draws, -1, -1)
-    prediction = predict(simulator, part.parameters(controls), batch, shifts)
-    noise = torch.randn(prediction.shape, generator=torch.Generator().manual_seed(seed), dtype=prediction.dtype)
-    seen = prediction + batch.noise.sd(prediction, batch.times) * noise
-    low, middle, high = torch.nanquantile(seen, torch.tensor(LEVELS, dtype=seen.dtype), dim=0)
+    times = batch.times if times is None else times
+    prediction = predict(simulator, part.parameters(controls), batch, shifts, times=times)
+    # noise at its quantiles, not at random numbers, so that the band is smooth
+    noise = torch.special.ndtri((torch.arange(_NOISE_LEVELS, dtype=torch.float64) + 0.5) / _NOISE_LEVELS)
+    sd, levels = batch.noise.sd(prediction, times), torch.tensor(LEVELS, dtype=prediction.dtype)
+    rows = []
+    for e in range(prediction.shape[1]):
+        seen = prediction[:, e] + sd[:, e] * noise[:, None, None]
+        rows.append(torch.nanquantile(seen.flatten(0, 1), levels, dim=0))
+    low, middle, high = torch.stack(rows, 1)
     return low, middle, high

@@ -13,7 +13,7 @@ import torch
 import imr_torch
 
 STAGES = ("material", "simulate", "observe", "assimilate", "select", "campaign", "calibration", "gap", "export")
-PUBLIC = ("imr_torch", *(f"imr_torch.{name}" for name in (*STAGES, "units", "files", "random")))
+PUBLIC = ("imr_torch", *(f"imr_torch.{name}" for name in (*STAGES, "units", "files", "random", "labels", "html", "results")))
 WITHOUT = ("imr_torch.design", "imr_torch.campaign.policies")  # whose objects are not looked at here
 NEEDS = {"imr_torch.export.arviz": ("xarray", "arviz_base", "h5netcdf"), "imr_torch.assimilate.nuts": ("pyro",)}
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE

@@ -9,7 +9,7 @@ import imr_torch
 
 PACKAGE = Path(imr_torch.__file__).parent
 STAGES = ("material", "simulate", "observe", "assimilate", "select", "design", "campaign", "calibration", "gap", "export")
-BASE = ("errors", "units", "random", "files", "types", "elementary")
+BASE = ("errors", "units", "random", "files", "types", "elementary", "labels", "html")
 
 
 def imported(source: str, module: tuple[str, ...], is_package: bool) -> list[tuple[int, str]]:

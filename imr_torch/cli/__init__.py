@@ -13,12 +13,13 @@ from collections.abc import Sequence
 
 import torch
 
-from imr_torch.cli import campaign, characterize, design, diagnose, simulate
+from imr_torch.cli import campaign, characterize, design, diagnose, plot, simulate
 from imr_torch.cli.common import add_engine_arguments
+from imr_torch.cli.progress import Terminal
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError
 from imr_torch.files import check_target
 
-COMMANDS = (simulate, characterize, design, campaign, diagnose)
+COMMANDS = (simulate, characterize, design, campaign, diagnose, plot)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -42,6 +43,7 @@ def parser() -> argparse.ArgumentParser:
         sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
         add_engine_arguments(sub)
         sub.add_argument("--quiet", action="store_true", help="no progress on the terminal")
+        sub.add_argument("--verbose", action="store_true", help="every step of the fits, instead of one line of progress")
         sub.set_defaults(run=module.run)
     return top
 
@@ -49,13 +51,15 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     args = parser().parse_args(argv)
+    args.argv = list(sys.argv[1:] if argv is None else argv)
+    args.terminal = Terminal(args.command, quiet=args.quiet, verbose=args.verbose)
     torch.set_num_threads(1)  # of tensor operators, which are small here; the engine has threads of its own
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names of experiments on a terminal that lacks their letters
     try:
         _check_targets(args)
-        with warnings.catch_warnings():
+        with args.terminal, warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the certificate is printed with the result
             args.run(args)
         sys.stdout.flush()

@@ -5,36 +5,42 @@
 
 CSV files have the columns experiment_id, time_s, radius_m (a JSON file of the same name beside it may give R_inf);
 MATLAB files of known layouts are recognised, others need --layout. All curves are taken to be of one gel and are fitted
-together; --each fits every curve by itself, which shows whether they agree. A report says which rows were left out and why.
+together; --each fits every curve by itself, which shows whether they agree. The report says whether the model explains the
+curves, which frames were fitted and which were not, and why.
 """
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
 
-from imr_torch.characterize import EFFORTS, Characterization, characterize, predictive_band
+from imr_torch.assimilate import NOISE_ROUNDS
+from imr_torch.characterize import EFFORTS, characterize
 from imr_torch.cli.common import (
     METHODS,
     add_physics_argument,
     add_prior_arguments,
-    file_name,
+    header_of,
     names_of,
     parse_pair,
     prior_of,
     progress_of,
-    save_figure,
     simulator_of,
     write_result,
 )
+from imr_torch.cli.figures import save_figures, subfolder
+from imr_torch.cli.progress import characterize_stages
 from imr_torch.errors import ConvergenceError, ImrError, InputDataError
-from imr_torch.material import Belief
+from imr_torch.files import write_atomically
+from imr_torch.html import write
+from imr_torch.material import ModelBelief
 from imr_torch.observe import Layout, TraceSet, load_traces, prepare
-from imr_torch.plot import plot_experiment, plot_parameter, plot_probabilities
-from imr_torch.simulate import Simulator
+from imr_torch.results import characterization_document, characterization_page, draw_figures
 
 NAME = "characterize"
 SUMMARY = "properties of a gel from measured R(t) files"
+_COLLAPSES = 2
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="TEXT", help="how to read the files: name=value pairs, see the tutorial 02")
     parser.add_argument("--experiments", metavar="ID,...", help="fit only these experiments")
     parser.add_argument("--each", action="store_true", help="fit every curve by itself instead of all together")
-    parser.add_argument("--collapses", type=int, default=2, help="collapses in the fitted window (default 2)")
+    parser.add_argument("--collapses", type=int, default=_COLLAPSES, help="collapses in the fitted window (default 2)")
     parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for records without a tail")
     parser.add_argument(
         "--noise",
@@ -70,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how far draws are weighed where they do not settle the intervals of a model (default normal)",
     )
     parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
+    parser.add_argument("--html", metavar="FILE", help="write the result with its figures as one HTML file")
     add_physics_argument(parser)
     add_prior_arguments(parser)
 
@@ -78,6 +85,8 @@ def run(args: argparse.Namespace) -> None:
     """Load, infer, report."""
     if args.each and args.scores:
         raise InputDataError("--scores predicts curves from others, and --each fits every one alone; leave one of them out.")
+    if args.each and args.html:
+        raise InputDataError("--html shows one gel, and --each fits every curve by itself; leave one of them out.")
     traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
     if args.experiments is not None:
         traces = traces.select(names_of(args.experiments, "--experiments"))
@@ -85,9 +94,10 @@ def run(args: argparse.Namespace) -> None:
     if args.each:
         _each(traces, args)
         return
-    result = _characterize(traces, args, Path(args.out) if args.out else None)
-    write_result(args, result.to_dict())
-    if not result.assimilation.converged:
+    document, report, converged = _characterize(traces, args)
+    write_result(args, document)  # before any figure, so that nothing computed is lost if one fails
+    _show(document, report, args, Path(args.out) if args.out else None)
+    if not converged:
         raise ConvergenceError("a fit has not converged (see its certificate above), so its numbers are not to be used.")
 
 
@@ -96,18 +106,19 @@ def _each(traces: TraceSet, args: argparse.Namespace) -> None:
     results: dict[str, Any] = {}
     wrong: dict[str, ImrError] = {}
     try:
-        for trace in traces:
+        for number, trace in enumerate(traces, start=1):
             print(f"\n--- {trace.experiment_id}")
-            folder = Path(args.out) / file_name(trace.experiment_id) if args.out else None
+            one, label = traces.select([trace.experiment_id]), f"curve {number} of {len(traces)}"
             try:
-                result = _characterize(traces.select([trace.experiment_id]), args, folder)
+                document, report, converged = _characterize(one, args, label)
             except ImrError as error:
                 print(f"imr-torch: {error}", file=sys.stderr)
                 wrong[trace.experiment_id], results[trace.experiment_id] = error, {"error": str(error)}
                 continue
-            results[trace.experiment_id] = result.to_dict()
-            if not result.assimilation.converged:
+            results[trace.experiment_id] = document
+            if not converged:
                 wrong[trace.experiment_id] = ConvergenceError("a fit has not converged.")
+            _show(document, report, args, Path(args.out) / subfolder(trace.experiment_id) if args.out else None)
     finally:
         write_result(args, {"each": results})
     if wrong:
@@ -117,10 +128,10 @@ def _each(traces: TraceSet, args: argparse.Namespace) -> None:
         )
 
 
-def _characterize(traces: TraceSet, args: argparse.Namespace, folder: Path | None) -> Characterization:
-    """Fit some curves together, print the result, draw its figures."""
-    prior, simulator = prior_of(args), simulator_of(args)
-    rest_radius = parse_pair(args.rest_radius, "--rest-radius")
+def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -> tuple[dict[str, Any], str, bool]:
+    """Fit some curves together and print the result: its document, the report, and whether all fits have converged."""
+    simulator, rounds = simulator_of(args), NOISE_ROUNDS if args.noise == "estimated" else 0
+    prior, rest_radius = prior_of(args), parse_pair(args.rest_radius, "--rest-radius")
     prepared = prepare(traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius)
     print(prepared.report())
     result = characterize(
@@ -134,23 +145,37 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, folder: Path | Non
         scores=args.scores,
         effort=args.effort,
         seed=args.seed,
-        progress=progress_of(args),
+        progress=progress_of(args, characterize_stages(rounds, scores=args.scores), label),
     )
-    print("\n" + result.report())
+    command = diagnose_command(args, result.posterior.best)
+    said = result.report(command)
+    print("\n" + said)
+    document = characterization_document(result, traces, simulator, command=command, seed=args.seed)
+    report = "\n\n".join((traces.report(), prepared.report(), said)) + "\n"
+    return document, report, result.assimilation.converged
+
+
+def _show(document: dict[str, Any], report: str, args: argparse.Namespace, folder: Path | None) -> None:
+    """Write the report, the figures and the page of a result."""
     if folder:
-        _figures(result, prior, simulator, folder)
-        (folder / "report.txt").write_text("\n\n".join((traces.report(), prepared.report(), result.report())) + "\n")
-    return result
+        write_atomically(folder / "report.txt", lambda stream: stream.write(report.encode()))
+        save_figures(draw_figures(document), folder)
+    if args.html:
+        print(f"wrote {write(characterization_page(header_of(args) | document, report=report), args.html)}")
 
 
-def _figures(result: Characterization, prior: Belief, simulator: Simulator, folder: Path) -> None:
-    best = result.posterior.best
-    band = predictive_band(result.assimilation, result.posterior, simulator, best.model)
-    for e, experiment in enumerate(result.experiments):
-        axes = plot_experiment(experiment, (band[0][e], band[1][e], band[2][e]))
-        save_figure(axes, folder, f"curve_{file_name(experiment.label)}")
-    for name in best.names:
-        pair = (("prior", prior[best.model]), ("posterior", best))
-        save_figure(plot_parameter(pair, name), folder, f"parameter_{name}")
-    save_figure(plot_probabilities((("prior", prior), ("posterior", result.posterior))), folder, "models")
-    print(f"wrote {len(result.experiments) + len(best.names) + 1} figures to {folder}")
+def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:
+    """The command that looks for what the most probable model lacks, on the same curves."""
+    parts = ["imr-torch", "diagnose", *args.files, "--base", best.model]
+    if best.known:
+        parts += ["--known", ",".join(f"{name}={value:g}" for name, value in best.known.items())]
+    for option, value in (
+        ("--layout", args.layout),
+        ("--experiments", args.experiments),
+        ("--rest-radius", args.rest_radius),
+        ("--collapses", str(args.collapses) if args.collapses != _COLLAPSES else None),
+        ("--physics", args.physics if args.physics != "transport" else None),
+    ):
+        if value:
+            parts += [option, value]
+    return shlex.join([*parts, "--html", "diagnosis.html"])

@@ -2,21 +2,24 @@
 
 import argparse
 import math
-import sys
-import time
+import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import torch
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
+from imr_torch.cli.figures import save
+from imr_torch.cli.progress import Stage, Terminal
 from imr_torch.errors import InputDataError
-from imr_torch.files import write_atomically, write_json
+from imr_torch.files import write_json
 from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
+from imr_torch.results import header
 from imr_torch.simulate import (
     ACCURACIES,
     ENGINES,
@@ -161,31 +164,48 @@ def parse_pair(text: str | None, option: str) -> tuple[float, float] | None:
     return first, second
 
 
-def progress_of(args: argparse.Namespace) -> Progress | None:
-    """A line to standard error with the time since the start, or None with ``--quiet``."""
+def progress_of(args: argparse.Namespace, stages: Sequence[Stage] = (), label: str = "") -> Progress | None:
+    """Where a command reports its steps, or None with ``--quiet``.
+
+    Args:
+        args: the options; ``terminal`` is made where the command line was not run through :func:`imr_torch.cli.main`.
+        stages: the stages to come.
+        label: what they are of.
+    """
     if args.quiet:
         return None
-    started = time.monotonic()
-    return lambda text: print(f"[{time.monotonic() - started:6.1f} s] {text}", file=sys.stderr, flush=True)
-
-
-def file_name(label: str) -> str:
-    """A label as part of a file name."""
-    return "".join(c if c.isalnum() or c in "-_" else "_" for c in label)
+    terminal = getattr(args, "terminal", None) or Terminal(args.command, verbose=getattr(args, "verbose", False), live=False)
+    terminal.plan(stages, label)
+    return terminal
 
 
 def save_figure(ax: Axes, folder: Path, name: str) -> Path:
-    """Save the figure of ``ax`` as PNG and close it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{name}.png"
+    """Save the figure of ``ax`` as PNG and PDF and close it; the path of the PNG."""
     figure = ax.figure
-    write_atomically(path, lambda stream: figure.savefig(stream, dpi=150, format="png"))  # type: ignore[union-attr]
-    plt.close(figure)  # type: ignore[arg-type]
-    return path
+    assert isinstance(figure, Figure)
+    return save(figure, folder, name)[0]
+
+
+def command_line(args: argparse.Namespace) -> str:
+    """The command line as it was typed."""
+    return shlex.join(["imr-torch", *getattr(args, "argv", (args.command,))])
+
+
+def header_of(args: argparse.Namespace) -> dict[str, Any]:
+    """What the result of a command says of itself: schema, software, date, command, files, medium, physics, seed."""
+    belief = getattr(args, "belief", None)
+    files = [*(getattr(args, "files", None) or ()), *(getattr(args, "tell", None) or ()), *([belief] if belief else [])]
+    physics = getattr(args, "physics", None)
+    medium = SIMULATORS[physics].conditions.surroundings if physics else None
+    return header(args.command, files=files, medium=medium, command=command_line(args)) | {
+        "physics": physics,
+        "seed": args.seed,
+    }
 
 
 def write_result(args: argparse.Namespace, document: dict[str, Any]) -> None:
-    """Write ``document`` to ``--json`` and into ``--out``, where given."""
+    """Write ``document`` with its header to ``--json`` and into ``--out``, where given."""
+    document = header_of(args) | document
     targets = [Path(args.json)] if args.json else []
     if getattr(args, "out", None):
         targets.append(Path(args.out) / f"{args.command}.json")

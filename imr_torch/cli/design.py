@@ -18,10 +18,11 @@ from imr_torch.cli.common import (
     parse_pair,
     prior_of,
     progress_of,
-    save_figure,
     simulator_of,
     write_result,
 )
+from imr_torch.cli.figures import save_figures
+from imr_torch.cli.progress import DESIGN
 from imr_torch.design import (
     STRATEGIES,
     AdaptiveContrastive,
@@ -39,8 +40,10 @@ from imr_torch.design import (
     search_design,
 )
 from imr_torch.observe import Nuisance
-from imr_torch.plot import plot_information
+from imr_torch.plot import information_map
+from imr_torch.results import draw_figures
 from imr_torch.simulate import coarser
+from imr_torch.units import Surroundings
 
 _PUBLISHED_REPEATS, _REPEATS = 100, 10
 _MEASURED = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)  # of curves filmed in a laboratory
@@ -135,29 +138,35 @@ def run(args: argparse.Namespace) -> None:
         initial=min(Optimal.initial, args.evaluations),
         batch=Optimal.batch,
         strategy=STRATEGIES[args.strategy],
-        progress=progress_of(args),
+        progress=progress_of(args, DESIGN),
     )
     steps = (*search.earlier, search)
+    document = search_document(steps, simulator.conditions.surroundings)
+    write_result(args, document)  # before any figure, so that nothing computed is lost if one fails
     for number, step in enumerate(steps, start=1):
         best, where = step.recommendation, space.describe(step.recommendation.design, simulator.conditions.surroundings)
         print(f"Shoot {where}")
         print(f"{'adds' if number > 1 else 'expected information gain'} {best.mean:.3f} +- {best.sd:.3f} nats")
-        if args.out:
-            name = "information" if number == 1 else f"information_{number}"
-            print(f"wrote {save_figure(plot_information(step), Path(args.out), name)}")
     if len(steps) > 1:
         print(f"together {search.joint:.3f} nats")
-    write_result(args, search_document(steps))
+    if args.out:
+        save_figures(draw_figures(document), Path(args.out))
 
 
-def search_document(steps: Sequence[DesignSearch]) -> dict[str, Any]:
-    """JSON-ready result of the searches for one or more designs."""
+def search_document(steps: Sequence[DesignSearch], surroundings: Surroundings | None = None) -> dict[str, Any]:
+    """JSON-ready result of the searches for one or more designs, with the map of each."""
+    medium = surroundings or Surroundings()
     rows = [
         {
-            "design": {"We": float(step.recommendation.design[0]), "R_inf*": float(step.recommendation.design[1])},
+            "design": {
+                "We": float(step.recommendation.design[0]),
+                "R_inf*": float(step.recommendation.design[1]),
+                "Rmax_m": float(medium.max_radius(step.recommendation.design[0])),
+            },
             "eig": step.recommendation.mean,
             "eig_sd": step.recommendation.sd,
             "evaluations": search_to_dict(step),
+            "map": information_map(step),
         }
         for step in steps
     ]

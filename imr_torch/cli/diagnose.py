@@ -17,6 +17,7 @@ from pathlib import Path
 from imr_torch.cli.common import (
     add_physics_argument,
     add_workers_argument,
+    header_of,
     names_of,
     parse_pair,
     parse_values,
@@ -24,10 +25,12 @@ from imr_torch.cli.common import (
     simulator_of,
     write_result,
 )
+from imr_torch.cli.progress import DIAGNOSE
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import Effect, describe, diagnose, examine, library, load_set, noise_of_traces, to_json, write_page
 from imr_torch.material import MATERIALS, wide_prior
 from imr_torch.observe import Experiment, Layout, Noise, load_traces, prepare
+from imr_torch.results.page import footer, provenance_table
 from imr_torch.simulate import Simulator
 
 _CHUNK = 360  # half of what 25 effects and three experiments take
@@ -72,13 +75,15 @@ def run(args: argparse.Namespace) -> None:
     if not fitted:
         raise InputDataError(f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer.")
     noise = _noise(args, fitted)
-    progress = progress_of(args)
+    progress = progress_of(args, DIAGNOSE)
     report = diagnose(fitted, base=base, effects=effects, noise=noise, simulator=simulator, seed=args.seed, progress=progress)
     parts = examine(report, simulator, unseen=held_out, seed=args.seed, progress=progress)
     print(describe(report, parts))
     write_result(args, to_json(report, parts) | {"seconds": time.perf_counter() - started})
     if args.html:
-        print(f"wrote {write_page(report, args.html, parts)}")
+        about = header_of(args)
+        page = write_page(report, args.html, parts, facts=provenance_table(about).rows, footer=footer(about))
+        print(f"wrote {page}")
     if not report.converged:
         raise ConvergenceError("a fit that the verdict rests on has not converged (see above).")
 

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import torch
 
-from imr_torch.cli.common import AnySimulator, add_physics_argument, parse_values, save_figure, with_engine, write_result
+from imr_torch.cli.common import AnySimulator, add_physics_argument, parse_values, with_engine, write_result
+from imr_torch.cli.figures import save_figures
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.material import MATERIALS, PARAMETERS, material
-from imr_torch.plot import plot_solution
+from imr_torch.results import draw_figures
 from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, TransportSimulator
 
 SIMULATORS: dict[tuple[str, str], AnySimulator] = {
@@ -61,20 +62,18 @@ def run(args: argparse.Namespace) -> None:
         f"{kind.title}, Rmax {1e6 * max_radius:.1f} um: smallest sampled R* {float(radius.min()):.4f}, largest sampled bubble "
         f"pressure {float(pressure.max()):.1f} p_inf, R* at the end {float(radius[-1]):.4f}"
     )
-    if args.out:
-        print(f"wrote {save_figure(plot_solution(solution), Path(args.out), 'radius')}")
     time_s = times * float(surroundings.time_scale(max_radius))
-    write_result(
-        args,
-        {
-            "model": kind.key,
-            "parameters": values,
-            "design": {"We": args.we, "R_inf*": args.rinf, "Rmax_m": max_radius},
-            "time_s": time_s.tolist(),
-            "radius_m": (radius * max_radius).tolist(),
-            "t_star": times.tolist(),
-            "R_star": radius.tolist(),
-            "U_star": solution.velocity[0].tolist(),
-            "bubble_pressure_over_p_inf": pressure.tolist(),
-        },
-    )
+    document = {
+        "model": kind.key,
+        "parameters": values,
+        "design": {"We": args.we, "R_inf*": args.rinf, "Rmax_m": max_radius},
+        "time_s": time_s.tolist(),
+        "radius_m": (radius * max_radius).tolist(),
+        "t_star": times.tolist(),
+        "R_star": radius.tolist(),
+        "U_star": solution.velocity[0].tolist(),
+        "bubble_pressure_over_p_inf": pressure.tolist(),
+    }
+    write_result(args, document)  # before the figure, so that nothing computed is lost if that fails
+    if args.out:
+        save_figures(draw_figures(document), Path(args.out))

@@ -1,18 +1,22 @@
 """Stage 8, model misfit: tests for a gap between model and data, its location, its cause, and its reduction."""
 
 from imr_torch.gap.diagnose import GapReport, diagnose
+from imr_torch.gap.document import to_json
+from imr_torch.gap.fit_test import FitTest, check_fit
 from imr_torch.gap.noise import noise_of_traces
 from imr_torch.gap.page import write_page
 from imr_torch.gap.parts import Parts, examine
-from imr_torch.gap.report import describe, to_json
+from imr_torch.gap.report import describe
 from imr_torch.gap.sets import load_set
 from imr_torch.material import LIBRARY, Effect, library, register_effect
 
 __all__ = [
     "LIBRARY",
     "Effect",
+    "FitTest",
     "GapReport",
     "Parts",
+    "check_fit",
     "describe",
     "diagnose",
     "examine",

@@ -1,56 +1,44 @@
-"""A diagnosis as one self-contained HTML file: the text of the report, with each figure embedded as an image.
+"""A diagnosis as one self-contained HTML file: the verdict, the gel, the sections of the report with their figures, what to do.
 
-Nothing is fetched and nothing runs, so the file can be mailed and kept. Figures have alternative texts and captions, headings
-are in order, and the words say all that the figures show.
+Sections that have nothing to say are folded away. The words say all that the figures show.
 """
 
-import base64
-import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from imr_torch.files import write_atomically
 from imr_torch.gap import plots
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.parts import Parts
-from imr_torch.gap.report import fit_of_cause, headline, sections
+from imr_torch.gap.report import cause_values, fit_of_cause, headline, next_step, parameters, sections
 from imr_torch.gap.windows import MovingWindows
+from imr_torch.html import Block, Picture, Table, write
+from imr_torch.html import page as html_page
+from imr_torch.material import PARAMETERS
 
 _CURVES = 6
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 58rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
-h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2rem; border-bottom: 1px solid #ccc; }
-.verdict { font-size: 1.15rem; background: #eef4f9; border-left: 4px solid #0072b2; padding: .6rem 1rem; }
-figure { margin: 1rem 0; } figcaption { color: #444; font-size: .9rem; } img { max-width: 100%; height: auto; }
-ul { padding-left: 1.2rem; }
-"""
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A figure of the page.
-
-    Args:
-        section: heading of the section that it stands in.
-        caption: what it shows, for everybody.
-        alt: the same for who cannot see it, with what is to be seen.
-        figure: the drawing.
-    """
+class Placed:
+    """A figure and the heading of the section that it stands in."""
 
     section: str
-    caption: str
-    alt: str
-    figure: Figure
+    picture: Picture
 
 
 def write_page(
-    report: GapReport, path: str | Path, parts: Parts | None = None, *, title: str = "Where does the model fail?"
+    report: GapReport,
+    path: str | Path,
+    parts: Parts | None = None,
+    *,
+    title: str = "Where does the model fail?",
+    facts: Sequence[tuple[str, ...]] = (),
+    footer: str = "",
 ) -> Path:
     """Write the page of a diagnosis.
 
@@ -59,6 +47,8 @@ def write_page(
         path: of the HTML file.
         parts: what was run beside the verdict.
         title: of the page.
+        facts: names and values of where the result comes from (files, software, date), folded away at the end.
+        footer: the same in one line.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -74,53 +64,59 @@ def write_page(
     ...     "<title>Gel 7</title>" in write_page(report, Path(folder) / "gap.html", title="Gel 7").read_text()
     True
     """
-    text = page(report, parts, title=title)
-    write_atomically(Path(path), lambda stream: stream.write(text.encode()))
-    return Path(path)
+    return write(page(report, parts, title=title, facts=facts, footer=footer), path)
 
 
-def page(report: GapReport, parts: Parts | None = None, *, title: str = "Where does the model fail?") -> str:
-    """The page of a diagnosis as HTML."""
-    pictures = _pictures(report, parts or Parts())
-    body = [f"<h1>{escape(title)}</h1>"]
-    for section in sections(report, parts):
-        body.append(f"<section><h2>{escape(section.heading)}</h2>")
-        body.append(_sentences(section.heading, section.sentences))
-        body += [_embedded(picture) for picture in pictures if picture.section == section.heading]
-        body.append("</section>")
-    for picture in pictures:
-        plt.close(picture.figure)
-    head = f'<meta charset="utf-8"><title>{escape(title)}</title><meta name="viewport" content="width=device-width">'
-    # an empty icon, because browsers ask for one otherwise
-    head += f'<link rel="icon" href="data:,"><style>{_STYLE}</style>'
-    return (
-        f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body><main>\n' + "\n".join(body) + "\n</main></body></html>\n"
-    )
+def page(
+    report: GapReport,
+    parts: Parts | None = None,
+    *,
+    title: str = "Where does the model fail?",
+    facts: Sequence[tuple[str, ...]] = (),
+    footer: str = "",
+) -> str:
+    """The page of a diagnosis as HTML; arguments as in :func:`write_page`."""
+    placed = _pictures(report, parts or Parts())
+    verdict, *others = sections(report, parts)
+    curves = tuple(p.picture for p in placed if p.section == verdict.heading)
+    blocks = [Block("The gel", (Table(_gel(report)),)), Block("The curves", curves)]
+    for section in others:
+        pictures = tuple(p.picture for p in placed if p.section == section.heading)
+        blocks.append(Block(section.heading, (*section.sentences, *pictures), folded=section.folded))
+    if facts:
+        blocks.append(Block("Files, medium and software", (Table(tuple(facts)),), folded=True))
+    step = next_step(report, parts)
+    text = html_page(title, verdict.sentences, blocks, warning=report.verdict != "none", next_step=step, footer=footer)
+    for item in placed:
+        plt.close(item.picture.figure)
+    return text
 
 
-def _sentences(heading: str, sentences: tuple[str, ...]) -> str:
-    if heading == "Verdict":
-        first, *rest = (escape(s) for s in sentences)
-        return f'<p class="verdict">{first}</p>' + "".join(f"<p>{s}</p>" for s in rest)
-    return "<ul>" + "".join(f"<li>{escape(s)}</li>" for s in sentences) + "</ul>"
+def _gel(report: GapReport) -> tuple[tuple[str, ...], ...]:
+    """Model and parameters with their intervals, those of the cause included, and what was assumed."""
+    kind, values = report.null.prior.material, cause_values(report)
+    added = f" with {' and '.join(values)} added" if values else ""
+    rows = [("Model", f"{kind.title}{added}")]
+    if not values and report.verdict != "none":
+        rows.append(("Warning", "no cause is named, so these values are biased by an unknown amount"))
+    rows += [(f"{n}, {PARAMETERS[n].meaning}", PARAMETERS[n].interval(*v)) for n, v in parameters(report).items()]
+    for name, own in (values or {}).items():
+        rows += [(f"{name}, {PARAMETERS[p].meaning}", PARAMETERS[p].interval(*v)) for p, v in own.items()]
+    known = report.null.prior.known
+    if known:
+        rows.append(("Known before", ", ".join(f"{n} = {v:g} {PARAMETERS[n].unit}" for n, v in known.items())))
+    count = len(report.batch.experiments)
+    rows.append(("Data", f"{count} experiment(s), {int(report.batch.mask.sum())} frames"))
+    rows.append(("Noise", str(report.batch.noise)))
+    return tuple(rows)
 
 
-def _embedded(picture: Picture) -> str:
-    stream = io.BytesIO()
-    picture.figure.savefig(stream, format="png", dpi=110, metadata={"Software": None})
-    data = base64.b64encode(stream.getvalue()).decode()
-    return (
-        f'<figure><img alt="{escape(picture.alt)}" src="data:image/png;base64,{data}">'
-        f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
-    )
-
-
-def _pictures(report: GapReport, parts: Parts) -> list[Picture]:
+def _pictures(report: GapReport, parts: Parts) -> list[Placed]:
     """Every figure that the parts allow, in the order of the page."""
     fit, batch, found = report.null, report.batch, report.attribution
     gap, where, causes = "Is there a gap?", "Where does it lie?", "Which effect causes it?"
     made = [
-        _before_and_after(report),
+        *_before_and_after(report),
         _picture(
             gap,
             "Tests of the base model's residual: longer bars are smaller p; beyond the dashed line one test shows a gap.",
@@ -140,7 +136,8 @@ def _pictures(report: GapReport, parts: Parts) -> list[Picture]:
         made.append(_picture(where, caption, f"Line chart. {when}", lambda: plots.plot_onset(when)))
     if (windows := parts.windows) is not None:
         caption = "Parameters fitted to a moving window, with one standard deviation."
-        made.append(Picture(where, caption, "Line charts of the apparent parameters over the event.", _windows(windows)))
+        alt = "Line charts of the apparent parameters over the event."
+        made.append(Placed(where, Picture(caption, alt, _windows(windows))))
     if (latent := parts.latent) is not None:
         alt = f"Line chart with a band; the mean reaches {float(latent.mean.abs().max()):.2g} of the outer pressure."
         caption = f"The pressure afar that would explain the residual. {latent.caveat}"
@@ -165,10 +162,10 @@ def _pictures(report: GapReport, parts: Parts) -> list[Picture]:
     return made
 
 
-def _picture(section: str, caption: str, alt: str, draw: Callable[[], Axes]) -> Picture:
+def _picture(section: str, caption: str, alt: str, draw: Callable[[], Axes]) -> Placed:
     figure = draw().figure
     assert isinstance(figure, Figure)
-    return Picture(section, caption, alt, figure)
+    return Placed(section, Picture(caption, alt, figure))
 
 
 def _largest(report: GapReport) -> str:
@@ -186,27 +183,16 @@ def _windows(found: MovingWindows) -> Figure:
     return figure
 
 
-def _before_and_after(report: GapReport) -> Picture:
-    """Curves with their residuals below, up to six experiments, three in a row."""
+def _before_and_after(report: GapReport) -> list[Placed]:
+    """Curves with their residuals below, one figure an experiment, up to six."""
     after = fit_of_cause(report)
-    count = min(len(report.batch.experiments), _CURVES)
-    columns = min(count, 3)
-    rows = -(-count // columns)
-    figure, axes = plt.subplots(
-        2 * rows,
-        columns,
-        figsize=(3.4 * columns, 4.2 * rows),
-        height_ratios=[2, 1] * rows,
-        layout="constrained",
-        squeeze=False,
-    )
-    for ax in axes.flat:
-        ax.set_axis_off()
-    for number in range(count):
-        row, column = divmod(number, columns)
-        for draw, ax in ((plots.plot_curves, axes[2 * row][column]), (plots.plot_residuals, axes[2 * row + 1][column])):
-            ax.set_axis_on()
+    made = []
+    for number, experiment in enumerate(report.batch.experiments[:_CURVES]):
+        figure, axes = plt.subplots(2, 1, figsize=(5.2, 4.4), height_ratios=[2, 1], sharex=True, layout="constrained")
+        for draw, ax in zip((plots.plot_curves, plots.plot_residuals), axes, strict=True):
             draw(report.batch, number, report.null.prediction, after.prediction if after else None, ax=ax)
-    caption = "Measured curves, the base model" + (" and the model with the cause" if after else "")
-    caption += "; below, residuals over the noise of the mean, grey within 2."
-    return Picture("Verdict", caption, f"Curves of {count} experiments. {headline(report)}", figure)
+        caption = f"{experiment.label}: measured, the base model" + (" and the model with the cause" if after else "")
+        caption += "; below, residuals over the noise of the mean (grey: up to 2)."
+        alt = f"Curves of {experiment.label}. {headline(report)}"
+        made.append(Placed("Verdict", Picture(caption, alt, figure)))
+    return made

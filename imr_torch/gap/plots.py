@@ -20,6 +20,7 @@ from imr_torch.gap.locate import PHASES, Onset, phase_clock, phase_name
 from imr_torch.gap.score import LEVEL, BlockResult, GapTest
 from imr_torch.gap.shrinkage import Shrinkage
 from imr_torch.gap.windows import MovingWindows
+from imr_torch.labels import R_STAR, T_STAR, plain
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import ExperimentBatch
 
@@ -68,7 +69,7 @@ def plot_phase_residual(fit: ModelFit, batch: ExperimentBatch, *, ax: Axes | Non
             text = "" if math.isnan(value) else f"{value:.1f}"
             ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if value > 0.6 * top else "black")
     ax.set_xticks(range(len(PHASES)), [phase.replace(" ", "\n") for phase in PHASES], fontsize=8)
-    ax.set_yticks(range(len(values)), [e.label for e in batch.experiments], fontsize=8)
+    ax.set_yticks(range(len(values)), [plain(e.label, 24) for e in batch.experiments], fontsize=8)
     ax.figure.colorbar(image, ax=ax, label="rms residual / noise")
     return ax
 
@@ -92,7 +93,11 @@ def plot_scores(test: GapTest, *, ax: Axes | None = None) -> Axes:
 
 def _labelled(block: BlockResult) -> str:
     """A block's name, with its power where it stands for an effect of typical size."""
-    return f"{block.name} (power {block.power:.2f})" if block.name in LIBRARY and not math.isnan(block.power) else block.name
+    return (
+        f"{plain(block.name)} (power {block.power:.2f})"
+        if block.name in LIBRARY and not math.isnan(block.power)
+        else plain(block.name)
+    )
 
 
 def plot_onset(found: Onset, *, ax: Axes | None = None) -> Axes:
@@ -104,7 +109,7 @@ def plot_onset(found: Onset, *, ax: Axes | None = None) -> Axes:
     if found.phase != "none":
         ax.axvline(found.time, color=ALARM, lw=1.5, label=f"onset: {found.phase}, t* = {found.time:.2f}")
     ax.set_yscale("symlog", linthresh=_LINEAR)
-    ax.set(xlabel="frames up to t*", ylabel="$-\\log_{10} p$", ylim=(0.0, 2.0 * max(*strength, _LINEAR)))
+    ax.set(xlabel="frames up to $t^*$", ylabel="$-\\log_{10} p$", ylim=(0.0, 2.0 * max(*strength, _LINEAR)))
     ax.legend(frameon=False, fontsize=8)
     return ax
 
@@ -116,7 +121,7 @@ def plot_latent_pressure(found: LatentPressure, *, ax: Axes | None = None) -> Ax
     ax.fill_between(found.times, found.mean - half, found.mean + half, color=AFTER, alpha=0.25, lw=0, label="90 % band")
     ax.plot(found.times, found.mean, color=AFTER, lw=1.5, label="mean")
     ax.axhline(0.0, color=DATA, lw=0.8)
-    ax.set(xlabel="t*", ylabel="latent pressure / p_inf")
+    ax.set(xlabel=T_STAR, ylabel=r"latent pressure / $p_\infty$")
     ax.legend(frameon=False, fontsize=8)
     return ax
 
@@ -127,7 +132,7 @@ def plot_window_parameter(found: MovingWindows, name: str, *, ax: Axes | None = 
     i, entry = found.names.index(name), PARAMETERS[name]
     middle, low, high = (entry.display_scale * x[:, i] for x in (found.values, found.low, found.high))
     ax.errorbar(found.centres, middle, yerr=torch.stack((middle - low, high - middle)), fmt="o-", ms=4, capsize=2, color=AFTER)
-    ax.set(xlabel="centre of the window, t*", ylabel=entry.label)
+    ax.set(xlabel="centre of the window, $t^*$", ylabel=entry.label)
     return ax
 
 
@@ -163,8 +168,8 @@ def plot_curves(
     ax.plot(times[seen], base[number][seen], color=BASE, lw=1.5, ls="--", label="base model")
     if after is not None:
         ax.plot(times[seen], after[number][seen], color=AFTER, lw=1.2, label="with the cause")
-    ax.set(ylabel="R*", ylim=(0.0, None))
-    ax.set_title(batch.experiments[number].label, fontsize=9)
+    ax.set(ylabel=R_STAR, ylim=(0.0, None))
+    ax.set_title(plain(batch.experiments[number].label), fontsize=9)
     ax.legend(frameon=False, fontsize=7)
     return ax
 
@@ -180,7 +185,7 @@ def plot_residuals(
     for curve, color, style in ((base, BASE, "--"), (after, AFTER, "-")):
         if curve is not None:
             ax.plot(times[seen], ((batch.mean - curve)[number] / noise)[seen], color=color, ls=style, lw=1.2)
-    ax.set(xlabel="t*", ylabel="residual / noise")
+    ax.set(xlabel=T_STAR, ylabel="residual / noise")
     return ax
 
 

@@ -1,4 +1,4 @@
-"""A diagnosis as text and as JSON: the gap, its location, its cause, its reduction, and what was not tested.
+"""A diagnosis as text: the gap, its location, its cause, its reduction, and what was not tested.
 
 The report is a list of sections, each a heading with sentences; the printed text and the HTML page show the same list. What was
 not tested or cannot be concluded is a section of its own, with the reasons.
@@ -7,7 +7,6 @@ not tested or cannot be concluded is a section of its own, with the reasons.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from scipy.optimize import brentq
@@ -16,7 +15,6 @@ from scipy.stats import chi2, ncx2
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.attribute import ADEQUATE
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.score import LEVEL, BlockResult
 from imr_torch.material import LIBRARY, PARAMETERS
@@ -32,10 +30,17 @@ _STEADY = "Fitted to a moving window, no parameter changes over the event by mor
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and its sentences."""
+    """A heading and its sentences.
+
+    Args:
+        heading: the question.
+        sentences: the answer.
+        folded: whether there is nothing to say, or only details, so that a page folds it away.
+    """
 
     heading: str
     sentences: tuple[str, ...]
+    folded: bool = False
 
 
 def describe(report: GapReport, parts: Parts | None = None) -> str:
@@ -53,7 +58,7 @@ def describe(report: GapReport, parts: Parts | None = None) -> str:
     'No gap was found: the base model describes these data within their noise.'
     """
     blocks = []
-    for section in sections(report, parts):
+    for section in (*sections(report, parts), Section("What to do next", (next_step(report, parts),))):
         lines = "\n".join(f"  {sentence}" for sentence in section.sentences)
         blocks.append(f"{section.heading}\n{lines}")
     return "\n\n".join(blocks)
@@ -62,17 +67,77 @@ def describe(report: GapReport, parts: Parts | None = None) -> str:
 def sections(report: GapReport, parts: Parts | None = None) -> list[Section]:
     """The report as sections, in the order of the questions."""
     parts = parts or Parts()
+    nothing = report.attribution is None
     return [
-        Section("Verdict", (headline(report), report.reason)),
+        Section("Verdict", (headline(report), *cause_sentences(report), report.reason)),
         Section("Is there a gap?", _gap(report)),
-        Section("Where does it lie?", _where(report, parts)),
-        Section("Which effect causes it?", _causes(report)),
-        Section("How far does it shrink?", _shrinkage(report, parts)),
-        Section("What does it do to the parameters?", _shift(report)),
-        Section("What to measure next?", _next(report, parts)),
-        Section("Not tested, and why", _not_tested(report, parts)),
-        Section("Have the fits converged?", _certificates(report)),
+        Section("Where does it lie?", _where(report, parts), folded=not _located(parts)),
+        Section("Which effect causes it?", _causes(report), folded=nothing),
+        Section("How far does it shrink?", _shrinkage(report, parts), folded=nothing or parts.shrinkage is None),
+        Section("What does it do to the parameters?", _shift(report), folded=fit_of_cause(report) is None),
+        Section("What to measure next?", _next(report, parts), folded=parts.next_design is None),
+        Section("Not tested, and why", _not_tested(report, parts), folded=True),
+        Section("Have the fits converged?", _certificates(report), folded=report.converged),
     ]
+
+
+def _located(parts: Parts) -> bool:
+    return any(x is not None for x in (parts.onset, parts.by_experiment, parts.windows, parts.latent))
+
+
+def cause_values(report: GapReport) -> dict[str, dict[str, list[float]]] | None:
+    """Named effect -> each of its parameters -> [5 %, 50 %, 95 %], SI, at the fit with the leading cause; None without a cause.
+
+    Effects of a class that the leading fit does not hold have the values of their own fits.
+    """
+    after = fit_of_cause(report)
+    if after is None or report.attribution is None:
+        return None
+    values = {}
+    for name in report.cause:
+        fit = next((f for f in (after, report.attribution.fits.get(name)) if f is not None and _holds(f, name)), None)
+        if fit is not None:
+            quantiles = fit.posterior.quantile(torch.tensor(_LEVELS, dtype=torch.float64))
+            values[name] = {p: quantiles[:, fit.prior.names.index(p)].tolist() for p in LIBRARY[name].names}
+    return values
+
+
+def _holds(fit: ModelFit, name: str) -> bool:
+    return name in LIBRARY and set(LIBRARY[name].names) <= set(fit.prior.names)
+
+
+def cause_sentences(report: GapReport) -> tuple[str, ...]:
+    """The values of the named causes with their 90 % intervals, one sentence an effect."""
+    return tuple(
+        f"{name}: " + "; ".join(f"{PARAMETERS[p].meaning} is {PARAMETERS[p].interval(*v)}" for p, v in values.items()) + "."
+        for name, values in (cause_values(report) or {}).items()
+    )
+
+
+def next_step(report: GapReport, parts: Parts | None = None) -> str:
+    """What to do next, in one sentence."""
+    parts = parts or Parts()
+    named = " and ".join(report.cause)
+    if not report.null.certificate.converged:
+        return "Run it again with another --seed, or with more frames: no verdict is given on a fit that did not converge."
+    if report.verdict == "none":
+        return (
+            "Use the base model with its intervals; shoot more repeats if an effect that would be missed here matters to you."
+        )
+    if (ahead := parts.next_design) is not None:
+        weber, rest = ahead.design.tolist()
+        return f"Shoot We = {weber:.0f}, R_inf* = {rest:.3f} next: there {' and '.join(ahead.causes)} differ most."
+    if report.verdict == "effect":
+        return f"Use the parameters of the model with {named} added, and check them on curves that no fit has seen (--heldout)."
+    if report.verdict == "class":
+        return (
+            f"Measure {', '.join(report.cause)} by other means, or shoot another design: these curves do not tell them apart."
+        )
+    if report.verdict == "other":
+        return (
+            "Do not use the parameters; check Rmax, R_inf, clock and optics first, then register the effect that you suspect."
+        )
+    return "Shoot another design, or more repeats, and diagnose all curves together: these do not decide."
 
 
 def headline(report: GapReport) -> str:
@@ -186,6 +251,8 @@ def _causes(report: GapReport) -> tuple[str, ...]:
         f"Adequacy of {found.winner}: {_p(found.adequacy.p_value)}"
         + (", so it is enough." if found.adequacy.p_value >= ADEQUATE else ", so something else is still missing."),
     ]
+    alike = [f"{name}: {LIBRARY[name].confused}" for name in report.cause if name in LIBRARY and LIBRARY[name].confused]
+    lines += [f"What looks most alike: {text}." for text in alike]
     return tuple(lines)
 
 
@@ -222,6 +289,13 @@ def parameter_shift(report: GapReport) -> dict[str, dict[str, list[float]]] | No
     }
 
 
+def parameters(report: GapReport) -> dict[str, list[float]]:
+    """Parameter of the gel -> [5 %, 50 %, 95 %], SI: with the named cause, or of the base model where none is named."""
+    fit = fit_of_cause(report) or report.null
+    quantiles = fit.posterior.quantile(torch.tensor(_LEVELS, dtype=torch.float64))
+    return {name: quantiles[:, fit.prior.names.index(name)].tolist() for name in report.null.prior.names}
+
+
 def fit_of_cause(report: GapReport) -> ModelFit | None:
     """The fit with the leading cause, where the verdict names one."""
     if report.attribution is None or report.verdict not in ("effect", "class"):
@@ -255,7 +329,6 @@ def _next(report: GapReport, parts: Parts) -> tuple[str, ...]:
             f"We = {weber:.0f}, R_inf* = {rest:.3f} tells {', '.join(found.causes)} apart best: {found.gain:.2f} +- "
             f"{found.error:.2f} nats of the {found.entropy:.2f} still open between them."
         )
-    lines += [f"{name} is easily mistaken for: {LIBRARY[name].confused}." for name in report.cause if name in LIBRARY]
     return tuple(lines) or ("Not computed, because there are no causes to tell apart.",)
 
 
@@ -294,45 +367,3 @@ def _certificates(report: GapReport) -> tuple[str, ...]:
 def _p(value: float) -> str:
     """A p-value as text."""
     return f"p = {value:.2g}" if value > 1e-10 else "p < 1e-10"
-
-
-def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
-    """The report as JSON-ready values; null for every part that was not run.
-
-    >>> import torch
-    >>> from imr_torch import PolytropicSimulator
-    >>> from imr_torch.gap import diagnose, to_json
-    >>> from imr_torch.material import PARAMETERS, library
-    >>> from imr_torch.observe import SimulatedLaboratory
-    >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=5)
-    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
-    >>> report = diagnose([shot], effects=library(["sound_speed"]), simulator=PolytropicSimulator())
-    >>> to_json(report)["verdict"]
-    'none'
-    """
-    parts = parts or Parts()
-    found, when, judged, ahead = report.attribution, parts.onset, parts.shrinkage, parts.next_design
-    return {
-        "gap": report.found,
-        "p_gap": report.gap.p_value,
-        "bias_sigma": report.gap.bias_sigma,
-        "onset_t": None if when is None or when.phase == "none" else when.time,
-        "onset_phase": None if when is None else when.phase,
-        "verdict": report.verdict,
-        "cause": list(report.cause),
-        "posterior": None if found is None else found.posterior,
-        "credible_set": None if found is None else list(found.credible_set()),
-        "adequacy_p": report.adequacy_p,
-        "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
-        "best_rival": None if judged is None else judged.rival,
-        "parameter_shift": parameter_shift(report),
-        "next_design": None if ahead is None else _design(ahead),
-        "converged": report.converged,
-        "seconds": report.seconds,
-    }
-
-
-def _design(found: NextDesign) -> dict[str, Any]:
-    """The next design, its gain in nats and what it tells apart."""
-    weber, rest = found.design.tolist()
-    return {"We": weber, "R_inf*": rest, "gain": found.gain, "gain_sd": found.error, "tells_apart": list(found.causes)}

@@ -63,6 +63,18 @@ class Parameter:
         unit = self.display_unit or self.unit
         return f"{self.name} ({unit})" if unit not in ("", "1") else self.name
 
+    def interval(self, low: float, middle: float, high: float) -> str:
+        """A value with its 90 % interval, SI, as text in display units.
+
+        >>> from imr_torch.material import PARAMETERS
+        >>> PARAMETERS["G"].interval(8100.0, 8310.0, 8500.0)
+        '8.31 kPa (90 %: 8.1 to 8.5)'
+        """
+        unit = self.display_unit or self.unit
+        shown = "" if unit in ("", "1") else f" {'µs' if unit == 'us' else unit}"
+        low, middle, high = (self.display_scale * x for x in (low, middle, high))
+        return f"{middle:.4g}{shown} (90 %: {low:.4g} to {high:.4g})"
+
 
 class ParameterVector:
     """The ordered register of parameters, and the layout of every parameter tensor."""

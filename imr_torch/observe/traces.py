@@ -212,7 +212,7 @@ class TraceSet:
     >>> print(TraceSet((trace,)).report())
     1 curve(s):
       shot 1: 3 frames over 2 us, largest radius 200 um
-    Nothing was left out.
+    Every row of the files was read.
     """
 
     traces: tuple[RadiusTrace, ...]
@@ -286,7 +286,8 @@ class TraceSet:
         for t in self.traces:
             span, top = 1e6 * float(t.time_s[-1] - t.time_s[0]), 1e6 * float(t.radius_m.max())
             lines.append(f"  {t.experiment_id}: {len(t)} frames over {span:.4g} us, largest radius {top:.4g} um")
-        lines.append(f"{len(self.left_out)} record(s) of rows left out:" if self.left_out else "Nothing was left out.")
+        every = "Every row of the files was read."
+        lines.append(f"{len(self.left_out)} record(s) of rows left out:" if self.left_out else every)
         lines += [f"  {x.file} [{x.experiment_id or '-'}] row(s) {x.rows or '-'}: {x.reason}" for x in self.left_out]
         if self.notes:
             lines += ["Notes:", *(f"  {note}" for note in self.notes)]

@@ -89,9 +89,14 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
     assert (document["gap"], document["verdict"], document["cause"]) == (False, "none", [])
     assert document["converged"] is True
     assert document["seconds"] > 0.0
+    assert main(["plot", str(paths["json"]), "--out", str(tmp_path / "figures"), "--format", "png"]) == 0
+    names = {path.stem for path in (tmp_path / "figures").iterdir()}
+    assert {"tests"} < names
+    assert len(names) == 2  # and the curve
     page = paths["html"].read_text()
     assert "No gap was found" in page
-    assert "Curves of 1 experiments" in page  # the one that is held out is not looked at
+    assert "Curves of design 0" in page
+    assert "Curves of design 1" not in page  # the one that is held out is not looked at
 
 
 @pytest.mark.parametrize(("options", "words"), [((), False), (("--noise", "estimated"), True)])

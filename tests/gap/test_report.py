@@ -22,9 +22,23 @@ from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.simulate import PolytropicSimulator
 
-FOUND = ("gap", "p_gap", "bias_sigma", "verdict", "cause", "converged", "seconds")
+FOUND = (
+    "gap",
+    "p_gap",
+    "bias_sigma",
+    "verdict",
+    "cause",
+    "converged",
+    "seconds",
+    "parameters",
+    "headline",
+    "next_step",
+    "tests",
+    "curves",
+    "noise",
+)
 PARTS = ("onset_t", "onset_phase", "shrinkage", "best_rival", "next_design")
-CAUSES = ("posterior", "credible_set", "adequacy_p", "parameter_shift")
+CAUSES = ("posterior", "credible_set", "adequacy_p", "parameter_shift", "cause_values")
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
@@ -89,6 +103,49 @@ def test_that_the_words_name_the_cause_the_onset_the_rival_and_the_shift(found):
     assert str(parts.onset) in text
     assert f"{parts.shrinkage.rival} (the best rival) removes" in text
     assert re.search(r"mu \(Pa s\): 0\.0[456]\d* becomes 0\.0[78]\d*", text)
+
+
+def test_that_page_json_and_words_state_the_value_of_the_cause(found, page):
+    report, parts = found
+    low, middle, high = to_json(report, parts)["cause_values"]["sound_speed"]["sound_speed"]
+    assert low < 0.5 < high
+    sentence = f"{middle:.4g} (90 %: {low:.4g} to {high:.4g})"
+    assert sentence in describe(report, parts)
+    assert page.read_text().count(sentence) == 2  # in the verdict and in the table of the gel
+    values = to_json(report, parts)["parameters"]
+    assert values["mu"] == to_json(report, parts)["parameter_shift"]["mu"]["with_cause"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "Shoot We = "),
+        ({"verdict": "none", "cause": ()}, "Use the base model with its intervals"),
+        ({"verdict": "other", "cause": ()}, "Do not use the parameters"),
+        ({"verdict": "undecided", "cause": ()}, "these do not decide"),
+        ({"verdict": "class", "cause": ("a", "b")}, "Measure a, b by other means"),
+        ({"verdict": "effect"}, "Use the parameters of the model with sound_speed added"),
+    ],
+)
+def test_that_a_diagnosis_ends_with_one_sentence_on_what_to_do(found, changes, words):
+    report, parts = found
+    design = parts if not changes else Parts()
+    if not changes and parts.next_design is None:
+        words = "Use the parameters of the model with sound_speed added"
+    text = describe(replace(report, **changes), design)
+    assert "easily mistaken" not in text
+    last = text.splitlines()[-2:]
+    assert last[0] == "What to do next"
+    assert words in last[1]
+    assert last[1].count(". ") == 0
+
+
+def test_that_sections_with_nothing_to_say_are_folded(found):
+    report, _ = found
+    silent = replace(report, attribution=None, adequacy_p=None, verdict="none", cause=())
+    folded = {s.heading for s in sections(silent) if s.folded}
+    assert {"Where does it lie?", "Which effect causes it?", "How far does it shrink?", "What to measure next?"} <= folded
+    assert {s.heading for s in sections(silent) if not s.folded} == {"Verdict", "Is there a gap?"}
 
 
 def test_that_no_family_is_named_for_other(found):
@@ -189,7 +246,7 @@ def read(page: Path) -> _Reader:
 def test_that_the_page_is_one_file_with_every_figure_decodable_and_described(page):
     reader = read(page)
     assert all(link.startswith("data:") for link in reader.links)
-    assert len(reader.images) == 9
+    assert len(reader.images) == 10
     for image in reader.images:
         pixels = imread(io.BytesIO(base64.b64decode(image["src"].removeprefix("data:image/png;base64,"))))
         assert min(pixels.shape[:2]) > 100
@@ -199,8 +256,11 @@ def test_that_the_page_is_one_file_with_every_figure_decodable_and_described(pag
 def test_that_the_page_has_the_sections_of_the_words_in_order(found, page):
     report, parts = found
     text = page.read_text()
-    assert read(page).headings == ["h1"] + ["h2"] * len(sections(report, parts))
-    places = [text.index(f"<h2>{section.heading}</h2>") for section in sections(report, parts)]
+    shown = [s.heading for s in sections(report, parts)[1:] if not s.folded]
+    folded = [s.heading for s in sections(report, parts) if s.folded]
+    assert read(page).headings == ["h1"] + ["h2"] * (len(shown) + 3)  # the gel, the curves, what to do next
+    places = [text.index(f"<h2>{heading}</h2>") for heading in ("The gel", "The curves", *shown, "What to do next")]
+    places += [text.index(f"<details><summary>{heading}</summary>") for heading in folded]
     assert places == sorted(places)
     assert "<h1>A &lt; B</h1>" in text
 
@@ -208,7 +268,7 @@ def test_that_the_page_has_the_sections_of_the_words_in_order(found, page):
 def test_that_a_page_without_parts_has_the_figures_of_the_diagnosis_alone(found, tmp_path):
     report, _ = found
     silent = replace(report, attribution=None, verdict="none", cause=())
-    assert len(read(write_page(silent, tmp_path / "page.html")).images) == 3
+    assert len(read(write_page(silent, tmp_path / "page.html")).images) == 4
 
 
 def test_that_figures_do_not_stay_open(found, tmp_path):
@@ -233,7 +293,7 @@ def test_that_a_browser_draws_every_figure_without_a_complaint(page, tmp_path):
     ]
     done = subprocess.run([BROWSER, *options, "--dump-dom", copy.as_uri()], capture_output=True, text=True, timeout=120)
     widths = re.findall(r'data-width="(\d+)"', done.stdout)
-    assert len(widths) == 9
+    assert len(widths) == 10
     assert all(int(width) > 100 for width in widths)
     assert "CONSOLE" not in done.stderr
 

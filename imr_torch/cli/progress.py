@@ -1,0 +1,230 @@
+"""Progress for people: the stage, the step within it and the time left, on one line that rewrites itself on a terminal.
+
+The stages of the package report lines of detail (:data:`imr_torch.types.Progress`). ``--verbose`` prints them as they are. Else
+they are condensed: on a terminal into one line that is rewritten, also while nothing is reported, elsewhere (a log file) into a
+short line whenever the stage changes and every half minute.
+"""
+
+import re
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, TextIO
+
+_EVERY, _LOG_EVERY = 0.5, 30.0  # seconds between lines on a terminal, and in a log
+_EARLY = 0.1  # part of the work before which no time left is said
+_LONGEST = 110
+_OF = re.compile(r"(\d+)\s*/\s*(\d+)")
+_STEP = re.compile(r"(cycle \d+, )?(iteration|round) \d+")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage of a command.
+
+    Args:
+        name: what is done.
+        share: of the command's time, roughly.
+        begins: regular expression of the reported line with which it begins; the first begins at once.
+    """
+
+    name: str
+    share: float
+    begins: str = ""
+
+
+def characterize_stages(noise_rounds: int, *, scores: bool = False) -> tuple[Stage, ...]:
+    """The stages of ``characterize``: one fit per noise law, draws, the fit test and perhaps scores.
+
+    >>> from imr_torch.cli.progress import characterize_stages
+    >>> [stage.name for stage in characterize_stages(1)]
+    ['fit of all models', 'fit with the estimated noise, and draws', 'fit test and figures']
+    """
+    # measured on the example gel: a first fit takes a sixth of all, each later one, which ends more precisely, a third
+    fits = [Stage("fit of all models" + ("" if noise_rounds else ", and draws"), 0.5)]
+    for number in range(1, noise_rounds + 1):
+        again = f" (round {number} of {noise_rounds})" if noise_rounds > 1 else ""
+        draws = ", and draws" if number == noise_rounds else ""
+        fits.append(Stage(f"fit with the estimated noise{again}{draws}", 1.0, r"^noise "))
+    last = [Stage("scores of held-out curves", 2.0, r"^scores")] if scores else []
+    return (*fits, *last, Stage("fit test and figures", 0.1, r"^fit test"))
+
+
+DIAGNOSE = (
+    Stage("fit of the base model and test for a gap", 0.3),
+    Stage("fits of the effects", 0.4, r"^(gap test|attribution)"),
+    Stage("location, reduction, next design", 0.3, r"^location"),
+)
+DESIGN = (Stage("search of designs", 1.0),)
+
+
+class Terminal:
+    """Where a command reports its progress; a context manager that ends the line.
+
+    Args:
+        command: its name.
+        quiet: whether to say nothing.
+        verbose: whether to print every reported line as it is.
+        stream: where to; standard error by default.
+        live: whether the line is rewritten; if the stream is a terminal, by default.
+        clock: seconds, for tests.
+
+    >>> import io
+    >>> from imr_torch.cli.progress import DIAGNOSE, Terminal
+    >>> stream = io.StringIO()
+    >>> with Terminal("diagnose", stream=stream, clock=lambda: 0.0) as terminal:
+    ...     terminal.plan(DIAGNOSE)
+    ...     terminal("assimilation: iteration 3, nhkv cost -606.92 gradient 5.6e+01")
+    >>> print(stream.getvalue().strip())
+    diagnose, stage 1 of 3, 0:00: fit of the base model and test for a gap, iteration 3
+    """
+
+    def __init__(
+        self,
+        command: str,
+        *,
+        quiet: bool = False,
+        verbose: bool = False,
+        stream: TextIO | None = None,
+        live: bool | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.command, self.quiet, self.verbose = command, quiet, verbose
+        self.stream, self.clock = stream or sys.stderr, clock
+        self.live = (self.stream.isatty() if live is None else live) and not quiet and not verbose
+        self.started = self.said = clock()
+        self.label, self.stages, self.at, self.step, self.part = "", (), 0, "", 0.0
+        self._begun, self._drawn, self._last = False, 0, ""
+        self._lock, self._stop = threading.RLock(), threading.Event()
+        self._thread: threading.Thread | None = None
+        self._stdout: TextIO | None = None
+
+    def plan(self, stages: Sequence[Stage], label: str = "") -> None:
+        """Name the stages to come, from the first; ``label`` says of what (for example a curve)."""
+        with self._lock:
+            self.stages, self.at, self.step, self.part, self.label = tuple(stages), 0, "", 0.0, label
+            self.started, self._begun, self._last = self.clock(), True, ""
+
+    def __call__(self, text: str) -> None:
+        """Report one line of detail."""
+        if self.quiet:
+            return
+        with self._lock:
+            self._begun = True
+            if self.verbose:
+                print(f"[{self.clock() - self.started:6.1f} s] {text}", file=self.stream, flush=True)
+                return
+            self._read(text)
+            if self.live:
+                self._draw()
+            else:
+                self._log()
+
+    def line(self) -> str:
+        """The state in one line, what matters most first, since a narrow terminal cuts the end off."""
+        elapsed, done = self.clock() - self.started, self._done()
+        parts = [self.command + (f" {self.label}" if self.label else "")]
+        if len(self.stages) > 1:
+            parts.append(f"stage {self.at + 1} of {len(self.stages)}")
+        parts.append(_clock(elapsed))
+        if done >= _EARLY:
+            parts.append(f"about {_clock(elapsed * (1.0 - done) / done)} left")
+        doing = [self.stages[self.at].name] if self.stages else []
+        doing += [self.step] if self.step else []
+        return ", ".join(parts) + (f": {', '.join(doing)}" if doing else "")
+
+    def _done(self) -> float:
+        """Part of the work that is done, roughly; of the step that counts, where no stages are planned."""
+        if not self.stages:
+            return self.part
+        total = sum(stage.share for stage in self.stages)
+        return (sum(stage.share for stage in self.stages[: self.at]) + self.part * self.stages[self.at].share) / total
+
+    def _read(self, text: str) -> None:
+        """Take stage and step from a reported line."""
+        following = self.stages[self.at + 1 :]
+        new = next((i for i, stage in enumerate(following) if re.search(stage.begins, text)), None)
+        if new is not None:
+            self.at, self.part, self.step = self.at + 1 + new, 0.0, ""
+        counted, step = _OF.search(text), _STEP.search(text)
+        if counted and int(counted[2]) > 0:
+            self.part = min(1.0, int(counted[1]) / int(counted[2]))
+            self.step = f"{text[: counted.start()].strip(' :,')} {counted[1]} of {counted[2]}".strip()
+        elif step:
+            self.step = step[0]
+        elif new is None:
+            self.step = text.partition(":")[0][:40]
+
+    def _log(self) -> None:
+        """A line for a log: when the stage has changed, else seldom."""
+        now, stage = self.clock(), f"{self.label} {self.at}" if self.stages else "-"
+        if stage != self._last or now - self.said >= _LOG_EVERY:
+            self._last, self.said = stage, now
+            print(self.line()[:_LONGEST], file=self.stream, flush=True)
+
+    def _draw(self) -> None:
+        width = max(20, shutil.get_terminal_size().columns - 1)
+        text = self.line()[:width]
+        self.stream.write("\r" + text + " " * max(0, self._drawn - len(text)))
+        self.stream.flush()
+        self._drawn = len(text)
+
+    def clear(self) -> None:
+        """Wipe the line, so that something else can be printed."""
+        with self._lock:
+            if self._drawn:
+                self.stream.write("\r" + " " * self._drawn + "\r")
+                self.stream.flush()
+                self._drawn = 0
+
+    def __enter__(self) -> "Terminal":
+        if self.live:
+            self._stdout, sys.stdout = sys.stdout, _Clearing(sys.stdout, self)  # type: ignore[assignment]
+            self._thread = threading.Thread(target=self._beat, daemon=True)
+            self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+        self.clear()
+        if self._stdout is not None:
+            sys.stdout = self._stdout
+
+    def _beat(self) -> None:
+        """Rewrite the line while nothing is reported, so that a long step is no silence."""
+        while not self._stop.wait(_EVERY):
+            with self._lock:
+                if self._begun:
+                    self._draw()
+
+
+class _Clearing:
+    """Standard output that wipes the progress line before anything is printed."""
+
+    def __init__(self, stream: TextIO, terminal: Terminal) -> None:
+        self._stream, self._terminal = stream, terminal
+
+    def write(self, text: str) -> int:
+        self._terminal.clear()
+        return self._stream.write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def _clock(seconds: float) -> str:
+    """``1:05`` of 65 seconds.
+
+    >>> from imr_torch.cli.progress import _clock
+    >>> _clock(65.0), _clock(3671.0)
+    ('1:05', '1:01:11')
+    """
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

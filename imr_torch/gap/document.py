@@ -1,0 +1,80 @@
+"""A diagnosis as JSON: what the report says, and the curves, tests and probabilities from which its figures are drawn again."""
+
+import math
+from typing import Any
+
+from imr_torch.gap.diagnose import GapReport
+from imr_torch.gap.identity_design import NextDesign
+from imr_torch.gap.parts import Parts
+from imr_torch.gap.report import cause_values, fit_of_cause, headline, next_step, parameter_shift, parameters
+
+
+def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
+    """The report as JSON-ready values; null for every part that was not run.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.gap import diagnose, to_json
+    >>> from imr_torch.material import PARAMETERS, library
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
+    >>> report = diagnose([shot], effects=library(["sound_speed"]), simulator=PolytropicSimulator())
+    >>> to_json(report)["verdict"]
+    'none'
+    """
+    parts = parts or Parts()
+    found, when, judged, ahead = report.attribution, parts.onset, parts.shrinkage, parts.next_design
+    return {
+        "gap": report.found,
+        "p_gap": report.gap.p_value,
+        "bias_sigma": report.gap.bias_sigma,
+        "onset_t": None if when is None or when.phase == "none" else when.time,
+        "onset_phase": None if when is None else when.phase,
+        "verdict": report.verdict,
+        "cause": list(report.cause),
+        "posterior": None if found is None else found.posterior,
+        "credible_set": None if found is None else list(found.credible_set()),
+        "adequacy_p": report.adequacy_p,
+        "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
+        "best_rival": None if judged is None else judged.rival,
+        "cause_values": cause_values(report),
+        "parameter_shift": parameter_shift(report),
+        "parameters": parameters(report),
+        "tests": [vars(b) | {"power": None if math.isnan(b.power) else b.power} for b in report.gap.blocks],
+        "curves": curves_of(report),
+        "noise": vars(report.batch.noise),
+        "headline": headline(report),
+        "next_step": next_step(report, parts),
+        "next_design": None if ahead is None else _design(ahead),
+        "converged": report.converged,
+        "seconds": report.seconds,
+    }
+
+
+def curves_of(report: GapReport) -> list[dict[str, Any]]:
+    """Mean measured curves, the base model and the model with the cause (None where none is named), by experiment."""
+    batch, after = report.batch, fit_of_cause(report)
+    noise = batch.sd(report.null.prediction) / batch.counts.sqrt()
+    rows = []
+    for e, experiment in enumerate(batch.experiments):
+        seen = batch.mask[e]
+        rows.append(
+            {
+                "id": experiment.label,
+                "We": experiment.design[0],
+                "R_inf*": experiment.design[1],
+                "t_star": batch.times[e][seen].tolist(),
+                "R_star": batch.mean[e][seen].tolist(),
+                "sd": noise[e][seen].tolist(),
+                "base": report.null.prediction[e][seen].tolist(),
+                "with_cause": None if after is None else after.prediction[e][seen].tolist(),
+            }
+        )
+    return rows
+
+
+def _design(found: NextDesign) -> dict[str, Any]:
+    """The next design, its gain in nats and what it tells apart."""
+    weber, rest = found.design.tolist()
+    return {"We": weber, "R_inf*": rest, "gain": found.gain, "gain_sd": found.error, "tells_apart": list(found.causes)}

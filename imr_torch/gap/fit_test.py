@@ -1,0 +1,160 @@
+"""A cheap test of whether a fitted model explains the curves: the gap test's generic blocks at a fit that exists already.
+
+No effect of the library is tried, so it costs a few dozen bubbles and names no cause; :func:`imr_torch.gap.diagnose` does both.
+Noise that was estimated from the residuals of the fit cannot be used: a misfit would widen it and so hide itself. The noise is
+taken from the frame-to-frame roughness of the curves (:func:`imr_torch.gap.noise_of_traces`), as in a diagnosis of curves.
+"""
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.errors import InputDataError
+from imr_torch.gap.linear import Linearisation, curves, linearise, shifted
+from imr_torch.gap.locate import phase_clock, phase_name
+from imr_torch.gap.noise import noise_of_traces
+from imr_torch.gap.score import LEVEL, gap_test, generic_blocks
+from imr_torch.observe import ExperimentBatch, Noise
+from imr_torch.random import child
+from imr_torch.simulate import Simulator
+
+FORM = "generic blocks of the gap test at the fit, without effects of the library; noise from the roughness of the curves"
+_LARGE = 4.0  # posterior standard deviations in all; a fit that must move farther to suit the noise of the test is moved first
+
+
+@dataclass(frozen=True)
+class FitTest:
+    """Whether a fitted model explains the curves within their noise.
+
+    Args:
+        model: key of the model.
+        p_value: of the smallest of all blocks, calibrated; None where it was not tested.
+        block: name of the block with the smallest p-value.
+        experiment: the curve with the largest residual.
+        phase: phase of the event in which that residual lies.
+        time: t* there.
+        sigma: that residual, in standard deviations of the noise.
+        bias_radius: root mean square of the residual beyond noise, in R*.
+        noise: the noise law of the test.
+        reason: why it was not tested; empty where it was.
+        seconds: processor time.
+
+    >>> from imr_torch.gap import FitTest
+    >>> FitTest("nhkv", 0.31).sentence()
+    'Fit: the model explains the curves within their noise (p = 0.31, nhkv).'
+    """
+
+    model: str
+    p_value: float | None
+    block: str = ""
+    experiment: str = ""
+    phase: str = ""
+    time: float = 0.0
+    sigma: float = 0.0
+    bias_radius: float = 0.0
+    noise: Noise | None = None
+    reason: str = ""
+    seconds: float = 0.0
+
+    @property
+    def explained(self) -> bool | None:
+        """Whether the test does not reject at its level of 4 %; None where it was not run."""
+        return None if self.p_value is None else self.p_value >= LEVEL
+
+    def sentence(self, command: str = "imr-torch diagnose") -> str:
+        """The result in one sentence; ``command`` is what to try after a misfit."""
+        if self.p_value is None:
+            return f"Not tested whether the model explains the curves: {self.reason}"
+        if self.explained:
+            return f"Fit: the model explains the curves within their noise (p = {self.p_value:.2g}, {self.model})."
+        where = (
+            f"strongest test: {self.block}; largest residual {self.sigma:+.1f} sd in {self.experiment}, {self.phase}, "
+            f"t* = {self.time:.2f}"
+        )
+        return (
+            f"Misfit: the model does not explain the curves (p = {self.p_value:.2g}, {self.model}; {where}); do not quote its "
+            f"intervals before you have tried: {command}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready values."""
+        document = vars(self) | {"noise": None if self.noise is None else vars(self.noise)}
+        return document | {"explained": self.explained, "level": LEVEL, "form": FORM, "sentence": self.sentence()}
+
+
+def check_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int = 0) -> FitTest:
+    """Test whether a fitted model explains the curves that it was fitted to.
+
+    Args:
+        fit: the fit.
+        batch: its data; their noise law is not used.
+        simulator: makes the bubbles.
+        seed: of the residuals drawn under the fitted model.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.assimilate import SearchOptions, assimilate
+    >>> from imr_torch.gap import check_fit
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> simulator, design = PolytropicSimulator(), torch.tensor([400.0, 0.22], dtype=torch.float64)
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=1)
+    >>> batch, options = ExperimentBatch((laboratory.shoot(design, seed=0),)), SearchOptions(scouts=16, starts=2)
+    >>> fit = assimilate(wide_prior(["nhkv"]), batch, simulator, seed=0, options=options)["nhkv"]
+    >>> tested = check_fit(fit, batch, simulator)
+    >>> tested.explained, tested.p_value > 0.04
+    (True, True)
+    """
+    started = time.process_time()
+    try:
+        noise = noise_of_traces(batch.experiments)
+        batch = ExperimentBatch(batch.experiments, noise)
+    except InputDataError as error:
+        return FitTest(fit.model, None, reason=str(error))
+    fit, line = _settled(fit, batch, simulator)
+    test = gap_test(generic_blocks(fit, batch, simulator, line), line, seed=child(seed, "fit test"))
+    if test.found and not (fit.certificate.converged or fit.certificate.nearly_converged):
+        return FitTest(fit.model, None, reason=f"the fit of {fit.model} did not converge, and such a fit looks like a misfit.")
+    left = _left(line)
+    row, column = divmod(int(left.abs().argmax()), left.shape[1])
+    return FitTest(
+        fit.model,
+        test.p_value,
+        test.blocks[0].name,
+        batch.experiments[row].label,
+        phase_name(float(phase_clock(batch.times, line.prediction, batch.mask)[row, column])),
+        float(batch.times[row, column]),
+        float(left[row, column]),
+        test.bias_radius,
+        noise,
+        seconds=time.process_time() - started,
+    )
+
+
+def _settled(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> tuple[ModelFit, Linearisation]:
+    """The fit after one Gauss-Newton step under the noise of the test, where that lowers the cost and is not small."""
+    line = linearise(fit, batch, simulator)
+    step = line.to_shift @ line.residual
+    if float((line.basis.mT @ line.residual).norm()) < _LARGE:
+        return fit, line
+    for factor in (1.0, 0.3):
+        mean, nuisances = shifted(fit, batch, factor * step[None])
+        prediction = curves(fit, batch, simulator, [{}], factor * step[None])
+        if not bool(torch.isfinite(prediction[0][batch.mask]).all()):
+            continue
+        moved = replace(fit, mean=mean[0], nuisances=nuisances[0], prediction=prediction[0])
+        own = linearise(moved, batch, simulator)
+        if float(own.residual.square().sum()) < float(line.residual.square().sum()):
+            return moved, own
+    return fit, line
+
+
+def _left(line: Linearisation) -> Tensor:
+    """Residual of a linear refit at every frame over the noise of the mean, ``E x T``; 0 in the padding."""
+    batch = line.batch
+    residual = (batch.mean - line.prediction) / (line.sd / batch.counts.sqrt())
+    return torch.where(batch.mask, residual, 0.0)

@@ -1,0 +1,74 @@
+"""Text that comes from data: labels as plain text in figures, as parts of file names, and symbols of parameters.
+
+An experiment may be called anything, ``$x_{bad$`` or 300 letters long. Matplotlib reads ``$`` as mathematics and file systems
+read ``/`` as a folder, so a label passes through one of these functions before it is drawn or names a file.
+"""
+
+import hashlib
+
+_LONGEST = 48  # characters of a label in a figure or a file name
+_SYMBOLS = {
+    "G": "$G$",
+    "mu": r"$\mu$",
+    "alpha": r"$\alpha$",
+    "G_lin": r"$G_\mathrm{lin}$",
+    "alpha_fung": r"$\alpha_\mathrm{Fung}$",
+    "alpha_fung2": r"$\alpha_\mathrm{Fung,2}$",
+    "thinning": "$1-n$",
+    "tau": r"$\tau$",
+    "tau_sls": r"$\tau_\mathrm{SLS}$",
+    "tau_sns": r"$\tau_\mathrm{SNS}$",
+    "tau_ucm": r"$\tau_\mathrm{UCM}$",
+    "yield_stress": r"$\tau_\mathrm{y}$",
+}
+T_STAR = r"$t^* = t\,U_\mathrm{c}/R_\mathrm{max}$"
+R_STAR = r"$R^* = R/R_\mathrm{max}$"
+WEBER = r"$\mathrm{We}$"
+REST_RADIUS = r"$R_\infty^* = R_\infty/R_\mathrm{max}$"
+
+
+def plain(label: str, longest: int = _LONGEST) -> str:
+    r"""A label as plain text for a figure: one line, shortened in the middle, never parsed as mathematics.
+
+    >>> from imr_torch.labels import plain
+    >>> print(plain("$x_{bad$"), plain("a" * 300, longest=9))
+    \$x_{bad\$ aaaa…aaaa
+    """
+    text = "".join(c if c.isprintable() else " " for c in label)
+    if len(text) > longest:
+        kept = longest - 1
+        text = f"{text[: (kept + 1) // 2]}…{text[len(text) - kept // 2 :]}"
+    return text.replace("$", r"\$")
+
+
+def file_name(label: str) -> str:
+    """A label as part of a file name; labels that differ never give the same one.
+
+    >>> from imr_torch.labels import file_name
+    >>> file_name("shot_1"), file_name("a/b"), file_name("a b")
+    ('shot_1', 'a_b-c14cdd', 'a_b-c8687a')
+    """
+    safe = "".join(c if c.isalnum() or c in "-_" else "_" for c in label)
+    if safe == label and len(label) <= _LONGEST:
+        return label
+    return f"{safe[:_LONGEST]}-{hashlib.sha256(label.encode()).hexdigest()[:6]}"
+
+
+def symbol(name: str) -> str:
+    r"""A parameter as it is printed in the literature, for a figure; its name where there is no symbol.
+
+    >>> from imr_torch.labels import symbol
+    >>> symbol("mu"), symbol("gas_loss")
+    ('$\\mu$', 'gas_loss')
+    """
+    return _SYMBOLS.get(name, name)
+
+
+def with_unit(text: str, unit: str) -> str:
+    """``text (unit)``, with the sign for micro; ``text`` alone for a number without a unit.
+
+    >>> from imr_torch.labels import with_unit
+    >>> with_unit("tau", "us"), with_unit("alpha", "1")
+    ('tau (µs)', 'alpha')
+    """
+    return text if unit in ("", "1") else f"{text} ({'µs' if unit == 'us' else unit})"

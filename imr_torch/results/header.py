@@ -1,0 +1,132 @@
+"""What every result document says of itself: schema, software, date, command, files with their hashes, medium and units."""
+
+import hashlib
+import json
+import platform
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from imr_torch.errors import InputDataError
+from imr_torch.units import Surroundings
+
+SCHEMA_VERSION = 1
+"""Raised when a key of a result document changes its meaning or goes away; new keys do not raise it."""
+
+UNITS = {
+    "parameters": "SI: Pa, Pa s, s; 1 where dimensionless",
+    "*_s": "s",
+    "*_m": "m",
+    "t_star": "1, time over Rmax/U_c with U_c = sqrt(p_inf/rho)",
+    "R_star": "1, radius over Rmax",
+    "We": "1, p_inf Rmax / (2 surface tension)",
+    "R_inf*": "1, R_inf / Rmax",
+    "log_evidence, eig, gain": "nats",
+}
+_MEDIUM = {"far_field_pressure": "Pa", "density": "kg/m^3", "surface_tension": "N/m", "temperature": "K", "sound_speed": "m/s"}
+
+
+def header(
+    kind: str,
+    *,
+    files: Sequence[str | Path] = (),
+    medium: Surroundings | None = None,
+    command: str = "",
+    now: datetime | None = None,
+) -> dict[str, Any]:
+    """The keys that every result document begins with.
+
+    Args:
+        kind: what the document holds, the name of the command that made it.
+        files: data files that were read; JSON files of the same names beside them are named too.
+        medium: the liquid side that was assumed.
+        command: the command line.
+        now: when the result was made; the present when not given.
+
+    >>> from imr_torch.results import header
+    >>> from imr_torch.units import Surroundings
+    >>> document = header("characterize", medium=Surroundings(density=998.0))
+    >>> document["schema"], document["medium"]["density"]
+    ({'name': 'imr_torch characterize', 'version': 1}, {'value': 998.0, 'unit': 'kg/m^3'})
+    """
+    document: dict[str, Any] = {
+        "schema": {"name": f"imr_torch {kind}", "version": SCHEMA_VERSION},
+        "software": {
+            "imr_torch": version("imr-torch"),
+            "torch": str(torch.__version__),
+            "python": platform.python_version(),
+        },
+        "created": (now or datetime.now(UTC)).isoformat(timespec="seconds"),
+        "command": command,
+        "files": [_file(path) for path in _with_companions(files)],
+        "units": UNITS,
+    }
+    if medium is not None:
+        document["medium"] = {name: {"value": getattr(medium, name), "unit": unit} for name, unit in _MEDIUM.items()}
+    return document
+
+
+def _with_companions(files: Sequence[str | Path]) -> list[Path]:
+    found: list[Path] = []
+    for path in map(Path, files):
+        beside = path.with_suffix(".json")
+        found += [p for p in dict.fromkeys((path, beside)) if p.is_file() and p not in found]
+    return found
+
+
+def _file(path: Path) -> dict[str, Any]:
+    content = path.read_bytes()
+    return {"name": path.name, "bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+
+
+def read_document(path: str | Path) -> dict[str, Any]:
+    """Read a result document and check it.
+
+    Raises:
+        InputDataError: if the file cannot be read, is no JSON, or no result of a version that this software knows.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from imr_torch.files import write_json
+    >>> from imr_torch.results import header, read_document
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_json(Path(folder) / "result.json", header("design"))
+    ...     read_document(Path(folder) / "result.json")["schema"]["name"]
+    'imr_torch design'
+    """
+    try:
+        document = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputDataError(f"{path}: cannot be read as a JSON result ({error}); give a file that --json wrote.") from None
+    check_document(document, str(path))
+    return document
+
+
+def check_document(document: Any, source: str = "The document") -> None:
+    """Raise unless a document is a result of a schema version that this software reads.
+
+    Raises:
+        InputDataError: naming the key, what it holds and what to do.
+
+    >>> from imr_torch.errors import InputDataError
+    >>> from imr_torch.results import check_document
+    >>> try:
+    ...     check_document({"schema": {"name": "imr_torch design", "version": 99}})
+    ... except InputDataError as error:
+    ...     print(error)
+    The document: schema version is 99; this software reads 1. Install a newer imr-torch.
+    """
+    schema = document.get("schema") if isinstance(document, Mapping) else None
+    if not isinstance(schema, Mapping) or not str(schema.get("name", "")).startswith("imr_torch "):
+        raise InputDataError(
+            f"{source}: has no 'schema' of imr_torch, so it is no result that can be drawn; make it anew with --json."
+        )
+    number = schema.get("version")
+    if number != SCHEMA_VERSION:
+        newer = isinstance(number, int) and number > SCHEMA_VERSION
+        remedy = "Install a newer imr-torch." if newer else "Make the result anew."
+        raise InputDataError(f"{source}: schema version is {number}; this software reads {SCHEMA_VERSION}. {remedy}")

@@ -1,0 +1,328 @@
+"""The document of a characterisation says which frames were fitted, and holds what its figures and page are drawn from."""
+
+import importlib.util
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from imr_torch.cli import main
+from imr_torch.cli.figures import save_figures
+from imr_torch.errors import InputDataError
+from imr_torch.files import write_json
+from imr_torch.labels import file_name, plain
+from imr_torch.results import NamedFigure, characterization_page, check_document, draw_figures, header, read_document
+
+_spec = importlib.util.spec_from_file_location("documents", Path(__file__).parent / "documents.py")
+documents = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(documents)
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+@pytest.fixture(scope="module")
+def result():
+    records = documents.traces(documents.LABELS)
+    return documents.fitted(records), records
+
+
+@pytest.fixture(scope="module")
+def document(result):
+    found, records = result
+    whole = header("characterize", medium=documents.Surroundings())
+    return whole | documents.characterization_document(found, records, documents.SIMULATOR, draws=20)
+
+
+def test_that_every_frame_is_fitted_or_has_a_reason(result, document):
+    found, records = result
+    for curve, trace, experiment in zip(document["curves"], records, found.experiments, strict=True):
+        use = curve["frames"]
+        assert use["recorded"] == len(trace) == len(curve["measured"]["fitted"])
+        assert use["fitted"] == sum(curve["measured"]["fitted"]) == len(experiment.times)
+        assert sum(x["last"] - x["first"] + 1 for x in use["not_fitted"]) == use["recorded"] - use["fitted"]
+        assert [x["reason"].split()[0] for x in use["not_fitted"]] == ["before", "after"]
+        assert use["not_fitted"][0]["start_s"] == pytest.approx(float(trace.time_s[0]))
+    assert f"{curve['id']}: {use['fitted']} of {use['recorded']} frames fitted" in found.report()
+    assert "Every row of the files was read." in records.report()
+
+
+def test_that_fitted_frames_are_the_ones_of_the_experiment(result, document):
+    found, _ = result
+    for curve, experiment in zip(document["curves"], found.experiments, strict=True):
+        seen = curve["measured"]
+        fitted = np.array(seen["fitted"])
+        assert np.array(seen["R_star"])[fitted] == pytest.approx(experiment.radius[0].numpy())
+        assert np.array(seen["t_star"])[fitted] == pytest.approx(experiment.times.numpy())
+
+
+def test_that_a_collapse_is_drawn_round(document):
+    """Frames are .03 apart; the drawn curve changes by little between points, down to a lower minimum than any frame's."""
+    for curve in document["curves"]:
+        model, seen = curve["models"]["nhkv"], curve["measured"]
+        t, r = np.array(model["t_star"]), np.array(model["R_star"])
+        assert (np.diff(t) >= 0.0).all()
+        assert np.abs(np.diff(r)).max() < 0.04
+        frames = np.array(seen["R_star"])[np.array(seen["fitted"])]
+        assert np.abs(np.diff(frames)).max() > 0.1
+        assert r.min() < frames.min() + 0.01
+
+
+def test_that_the_drawn_curve_goes_through_the_predictions(result, document):
+    found, _ = result
+    for e, curve in enumerate(document["curves"]):
+        times, predicted = (
+            found.experiments[e].times.numpy(),
+            found.assimilation["nhkv"].prediction[e].numpy()[: len(found.experiments[e].times)],
+        )
+        drawn = np.interp(times, curve["models"]["nhkv"]["t_star"], curve["models"]["nhkv"]["R_star"])
+        assert drawn == pytest.approx(predicted, abs=2e-3)
+        inside = np.interp(times, curve["band"]["t_star"], curve["band"]["high"]) - predicted
+        assert (inside > 0.0).all()
+
+
+def test_that_the_header_names_schema_software_units_and_medium(document):
+    assert document["schema"] == {"name": "imr_torch characterize", "version": 1}
+    assert set(document["software"]) == {"imr_torch", "torch", "python"}
+    assert document["medium"]["density"] == {"value": 1060.0, "unit": "kg/m^3"}
+    assert document["units"]["*_s"] == "s"
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", document["created"])
+
+
+def test_that_files_come_with_their_hashes_and_those_beside_them(tmp_path):
+    (tmp_path / "gel.csv").write_bytes(b"abc")
+    (tmp_path / "gel.json").write_bytes(b"{}")
+    first, second = header("characterize", files=[tmp_path / "gel.csv"])["files"]
+    assert first == {
+        "name": "gel.csv",
+        "bytes": 3,
+        "sha256": "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad",
+    }
+    assert second["name"] == "gel.json"
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        ({}, "has no 'schema' of imr_torch, .*make it anew with --json"),
+        ([1], "has no 'schema' of imr_torch"),
+        ({"schema": {"name": "imr_torch design", "version": 2}}, "schema version is 2; this software reads 1. Install a newer"),
+        (
+            {"schema": {"name": "imr_torch design", "version": 0}},
+            "schema version is 0; this software reads 1. Make the result anew",
+        ),
+    ],
+)
+def test_that_a_document_of_another_kind_or_version_is_refused(document, message):
+    with pytest.raises(InputDataError, match=message):
+        check_document(document)
+
+
+@pytest.mark.parametrize("text", ["{", "\x00", ""])
+def test_that_a_file_that_is_no_json_is_refused(text, tmp_path):
+    (tmp_path / "bad.json").write_text(text)
+    with pytest.raises(InputDataError, match=r"bad\.json: cannot be read as a JSON result"):
+        read_document(tmp_path / "bad.json")
+
+
+def test_that_labels_give_file_names_of_their_own_that_fit_a_file_system():
+    names = [file_name(label) for label in ("a/b", "a_b", "a b", "..", "x" * 300, "x" * 299, "é")]
+    assert len(set(names)) == len(names)
+    assert max(map(len, names)) < 60
+    assert all(set("/. ").isdisjoint(name) for name in names)
+    assert file_name("shot_1") == "shot_1"
+
+
+def test_that_labels_are_drawn_as_they_are():
+    for label in ("$x_{bad$", "$a$ and $b$", "a\nb", "\\frac$"):
+        figure = plt.figure()
+        text = figure.suptitle(plain(label))
+        figure.canvas.draw()
+        shown, math = text._preprocess_math(text.get_text())
+        assert math is False
+        assert shown == label.replace("\n", " ")
+        plt.close(figure)
+    assert len(plain("a" * 300)) == 48
+
+
+def test_that_every_figure_is_drawn_from_the_file_alone_and_none_overwrites_another(document, tmp_path):
+    write_json(tmp_path / "result.json", document)
+    assert main(["plot", str(tmp_path / "result.json"), "--out", str(tmp_path / "again"), "--format", "png,svg"]) == 0
+    names = {path.stem for path in (tmp_path / "again").glob("*.png")}
+    curves = {f"curve_{file_name(label)}" for label in documents.LABELS}
+    assert names == {*curves, "residuals", "parameters", "parameter_G", "parameter_mu"}
+    assert len(curves) == 5
+    assert {path.stem for path in (tmp_path / "again").glob("*.svg")} == names
+    drawn = (tmp_path / "again" / f"curve_{file_name('$x_{bad$')}.svg").read_text()
+    assert "$x_{bad$" in drawn
+    assert "not fitted" in drawn
+
+
+def test_that_a_figure_that_fails_costs_no_other(tmp_path, capsys):
+    def fail():
+        raise ValueError("no such glyph")
+
+    figures = [NamedFigure("first", "", "", fail), NamedFigure("second", "", "", plt.figure)]
+    assert save_figures(figures, tmp_path, ["png"]) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["second.png"]
+    assert "the figure first could not be drawn (ValueError: no such glyph)" in capsys.readouterr().err
+
+
+def test_that_the_figure_marks_unused_frames_and_has_second_axes(document):
+    figure = next(iter(draw_figures(document))).draw()
+    upper, lower = figure.axes[:2]
+    labels = {text.get_text() for text in upper.get_legend().get_texts()}
+    use = document["curves"][0]["frames"]
+    assert {f"fitted ({use['fitted']})", f"not fitted ({use['recorded'] - use['fitted']})", "NHKV", "90 % predictive"} == labels
+    seconds = list(upper.child_axes)
+    assert {s.get_xlabel() or s.get_ylabel() for s in seconds} == {"$t$ (µs)", "$R$ (µm)"}
+    assert "residual" in lower.get_ylabel()
+    plt.close(figure)
+
+
+def test_that_a_page_escapes_what_it_is_given_and_loads_nothing(document):
+    text = characterization_page(document, title="A < B", report="5 < 6")
+    assert "<script" not in text
+    assert "&lt;script&gt;" in text
+    assert "<h1>A &lt; B</h1>" in text
+    assert not re.search(r'(src|href)="(?!data:)', text)
+    assert "G, shear modulus" in text
+    assert re.search(r"\d\.\d+ kPa \(90 %: \d", text)
+    assert text.index("<h2>The gel") < text.index("<h2>What was assumed") < text.index("<h2>Figures") < text.index("<details>")
+    assert "What to do next" in text
+
+
+def test_that_a_page_without_a_figure_keeps_the_numbers(document, monkeypatch):
+    monkeypatch.setattr("imr_torch.results.figures.curve_figure", lambda *_: 1 / 0)
+    text = characterization_page(document)
+    assert "could not be drawn (ZeroDivisionError" in text
+    assert "G, shear modulus" in text
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium")
+@pytest.mark.parametrize("width", [400, 1200])
+def test_that_a_browser_shows_the_page_without_scrolling_sideways(document, tmp_path, width):
+    """The page is put into a frame of the width, since browsers' windows are not that narrow, and a script measures it."""
+    page = characterization_page(document, report="x" * 500)
+    assert wider_than(page, width, tmp_path) <= 0
+
+
+def wider_than(page: str, width: int, folder: Path) -> int:
+    """By how many pixels a page is wider than its window, as a real browser lays it out."""
+    (folder / "page.html").write_text(page)
+    script = (
+        "const f=document.querySelector('iframe');f.onload=()=>{const r=f.contentDocument.documentElement;"
+        f"document.title='over '+(r.scrollWidth-{width})+' high '+r.scrollHeight}};"
+    )
+    frame = f'<iframe src="page.html" width="{width}" height="900" frameborder="0"></iframe><script>{script}</script>'
+    (folder / "frame.html").write_text(frame)
+    done = subprocess.run(
+        [
+            BROWSER,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--allow-file-access-from-files",
+            "--virtual-time-budget=4000",
+            "--dump-dom",
+            f"file://{folder}/frame.html",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    found = re.search(r"over (-?\d+) high (\d+)", done.stdout)
+    assert found, done.stderr[-500:]
+    assert int(found[2]) > 1000
+    return int(found[1])
+
+
+def test_that_curves_of_the_model_are_explained_and_those_of_an_unmodelled_effect_are_not(document):
+    assert document["fit_test"]["explained"] is True
+    assert document["fit_test"]["sentence"].startswith("Fit: the model explains the curves within their noise (p = ")
+    assert document["fit_test"]["seconds"] < 2.0
+    lossy = documents.documented(documents.traces(("a", "b", "c"), gas_loss=0.5))
+    tested = lossy["fit_test"]
+    assert tested["explained"] is False
+    assert tested["p_value"] < 0.01
+    assert re.search(
+        r"explain the curves \(p = .*, nhkv; strongest test: .*; largest residual .* sd in [abc], ", tested["sentence"]
+    )
+    assert tested["sentence"].endswith("have tried: imr-torch diagnose")
+    assert 'class="verdict warning"' in characterization_page(lossy)
+
+
+def test_that_the_command_line_writes_json_before_figures_and_the_page(tmp_path, monkeypatch, capsys):
+    records = documents.traces(("one", "two"))
+    rows = [
+        f"{t.experiment_id},{s:.10g},{r:.10g}"
+        for t in records
+        for s, r in zip(t.time_s.tolist(), t.radius_m.tolist(), strict=True)
+    ]
+    (tmp_path / "gel.csv").write_text("experiment_id,time_s,radius_m\n" + "\n".join(rows) + "\n")
+    monkeypatch.setattr("imr_torch.results.figures.residuals_figure", lambda *_: 1 / 0)
+    arguments = [
+        "characterize",
+        str(tmp_path / "gel.csv"),
+        "--models",
+        "nhkv",
+        "--rest-radius",
+        "0.2:0.01",
+        "--physics",
+        "polytropic",
+    ]
+    out = tmp_path / "out"
+    assert main([*arguments, "--quiet", "--out", str(out), "--html", str(tmp_path / "page.html")]) == 0
+    document = json.loads((out / "characterize.json").read_text())
+    assert document["files"][0]["name"] == "gel.csv"
+    assert document["command"].startswith("imr-torch characterize ")
+    assert document["fit_test"]["command"].startswith("imr-torch diagnose ")
+    assert "--rest-radius 0.2:0.01" in document["fit_test"]["command"]
+    assert document["physics"] == "polytropic"
+    said = capsys.readouterr()
+    assert "the figure residuals could not be drawn" in said.err
+    assert "one: " in said.out
+    assert (out / "curve_one.pdf").exists()
+    page = (tmp_path / "page.html").read_text()
+    assert "frames fitted" in page
+    assert "SHA-256" in page
+
+
+def test_that_any_name_of_an_experiment_gets_a_folder_figures_and_a_result_of_its_own(tmp_path):
+    names = ("$x_{bad$" + 300 * "y", "a/b", "a_b")
+    records = documents.traces(names, frames=60)
+    rows = [
+        f"{t.experiment_id},{s:.10g},{r:.10g}"
+        for t in records
+        for s, r in zip(t.time_s.tolist(), t.radius_m.tolist(), strict=True)
+    ]
+    (tmp_path / "gel.csv").write_text("experiment_id,time_s,radius_m\n" + "\n".join(rows) + "\n")
+    out = tmp_path / "out"
+    options = [
+        "--models",
+        "nhkv",
+        "--rest-radius",
+        "0.2:0.01",
+        "--noise",
+        "published",
+        "--physics",
+        "polytropic",
+        "--quiet",
+        "--each",
+    ]
+    assert main(["characterize", str(tmp_path / "gel.csv"), *options, "--out", str(out)]) == 0
+    folders = [path for path in out.iterdir() if path.is_dir()]
+    assert {path.name for path in folders} == {file_name(name) for name in names}
+    assert all(len(list(path.glob("curve_*.png"))) == 1 for path in folders)
+    assert list(json.loads((out / "characterize.json").read_text())["each"]) == list(names)
+
+
+def test_that_plot_refuses_what_it_cannot_draw(tmp_path, capsys):
+    write_json(tmp_path / "r.json", header("diagnose"))
+    assert main(["plot", str(tmp_path / "r.json")]) == 2
+    assert "holds no curves or map to draw" in capsys.readouterr().err
+    assert main(["plot", str(tmp_path / "r.json"), "--format", "gif"]) == 2
+    assert "--format is 'gif'; expected some of png, pdf, svg" in capsys.readouterr().err

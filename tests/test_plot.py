@@ -1,0 +1,94 @@
+"""Figures: axes in laboratory units, densities that are no lines, a star that is whole, labels as they are."""
+
+import matplotlib.pyplot as plt
+import pytest
+import torch
+
+from imr_torch import wide_prior
+from imr_torch.observe import Experiment
+from imr_torch.plot import draw_information, draw_parameters, plot_experiment, plot_parameter, plot_probabilities
+from imr_torch.units import Surroundings
+
+
+@pytest.fixture(autouse=True)
+def close():
+    yield
+    plt.close("all")
+
+
+def narrow(prior, factor: float):
+    return prior.with_gaussian(prior.mean + 0.5, factor * prior.chol)
+
+
+def experiment(label: str = "$x_{bad$") -> Experiment:
+    times = torch.linspace(0.0, 2.0, 21, dtype=torch.float64)
+    return Experiment(label, (300.0, 0.2), times, (1.0 - 0.2 * times)[None])
+
+
+def test_that_a_wide_density_has_a_logarithmic_axis_and_a_line_an_inset():
+    prior = wide_prior(["nhkv"])["nhkv"]
+    ax = plot_parameter((("prior", prior), ("posterior", narrow(prior, 0.01))), "G")
+    assert ax.get_xscale() == "log"
+    (inset,) = ax.child_axes
+    low, high = inset.get_xlim()
+    value = float(narrow(prior, 0.01).quantile([0.5])[0, 0]) / 1e3
+    assert low < value < high < 1.2 * low
+    assert ax.get_xlabel() == "$G$ (kPa)"
+
+
+def test_that_a_narrow_density_has_a_linear_axis_and_no_inset():
+    belief = narrow(wide_prior(["nhkv"])["nhkv"], 0.05)
+    ax = plot_parameter((("posterior", belief),), "mu", truth=0.1)
+    assert (ax.get_xscale(), len(ax.child_axes)) == ("linear", 0)
+
+
+def test_that_second_axes_are_in_laboratory_units():
+    surroundings = Surroundings()
+    ax = plot_experiment(experiment(), surroundings=surroundings)
+    ax.figure.canvas.draw()
+    top, right = ax.child_axes
+    size = float(surroundings.max_radius(300.0))
+    assert top.get_xlim()[1] == pytest.approx(1e6 * surroundings.time_scale(size) * ax.get_xlim()[1])
+    assert right.get_ylim()[1] == pytest.approx(1e6 * size * ax.get_ylim()[1])
+
+
+@pytest.mark.parametrize("label", ["$x_{bad$", "a" * 300, "a\nb"])
+def test_that_any_label_is_drawn(label, tmp_path):
+    band = tuple(torch.full((21,), x, dtype=torch.float64) for x in (0.5, 0.6, 0.7))
+    figure = plot_experiment(experiment(label), band).figure
+    figure.savefig(tmp_path / "figure.pdf")
+    assert len(figure.axes[0].get_title()) < 60
+
+
+def test_that_the_joint_plot_has_every_pair_once():
+    belief = narrow(wide_prior(["gen_qkv"])["gen_qkv"], 0.1)
+    figure = draw_parameters(belief)
+    drawn = [ax for ax in figure.axes if ax.axison]
+    assert len(drawn) == 6
+    labels = {ax.get_xlabel() for ax in drawn} | {ax.get_ylabel() for ax in drawn}
+    assert labels >= {"$G$ (kPa)", r"$\mu$ (Pa s)", r"$\alpha$"}
+
+
+@pytest.mark.parametrize("place", [(100.0, 0.14), (1000.0, 0.30)])
+def test_that_a_star_on_the_border_is_inside_the_axes(place):
+    axis = torch.linspace(0.0, 1.0, 10)
+    values = {
+        "We": (100 + 900 * axis).tolist(),
+        "R_inf*": (0.14 + 0.16 * axis).tolist(),
+        "nats": (axis[:, None] + axis).tolist(),
+    }
+    chosen = {"We": place[0], "R_inf*": place[1], "Rmax_m": 1e-6 * place[0]}
+    ax = draw_information(values, [{"We": 300.0, "R_inf*": 0.2}], chosen)
+    ax.figure.canvas.draw()
+    x, y = ax.transAxes.inverted().transform(ax.transData.transform(place))
+    assert 0.03 < x < 0.97
+    assert 0.03 < y < 0.97
+    (top,) = ax.child_axes
+    assert top.get_xlim() == pytest.approx(ax.get_xlim())  # here 1 um for each unit of We
+    assert "R_\\mathrm{max}" in top.get_xlabel()
+
+
+def test_that_labels_of_beliefs_are_not_mathematics():
+    prior = wide_prior(["newtonian", "nhkv"])
+    ax = plot_probabilities((("$a$", prior), ("$b$", prior)))
+    assert [t.get_text() for t in ax.get_xticklabels()] == [r"\$a\$", r"\$b\$"]

@@ -1,0 +1,112 @@
+"""Progress as a person meets it: one line with stage, step and time left; details only when asked for."""
+
+import io
+import re
+import sys
+
+import pytest
+
+from imr_torch.cli import main
+from imr_torch.cli.progress import DESIGN, DIAGNOSE, Terminal, characterize_stages
+
+LONG = "assimilation: iteration 4, " + ", ".join(f"model{i} cost -606.92 gradient 5.6e+01" for i in range(30))
+
+
+class Clock:
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def terminal(stages=(), *, live=False, **options):
+    stream, clock = io.StringIO(), Clock()
+    made = Terminal("characterize", stream=stream, live=live, clock=clock, **options)
+    made.plan(stages)
+    return made, stream, clock
+
+
+def test_that_stage_step_and_time_left_are_said():
+    made, stream, clock = terminal(characterize_stages(2))
+    made(LONG)
+    clock.now = 20.0
+    made("noise 0.09 x the published law")
+    made("assimilation: iteration 2, nhkv cost 1")
+    assert (
+        made.line()
+        == "characterize, stage 2 of 4, 0:20, about 1:24 left: fit with the estimated noise (round 1 of 2), iteration 2"
+    )
+    made("noise 0.06 x the published law")
+    made("fit test: does the model explain the curves?")
+    assert "stage 4 of 4, " in made.line()
+    assert max(map(len, stream.getvalue().splitlines())) <= 110
+    assert "cost" not in stream.getvalue()
+
+
+def test_that_counted_steps_give_the_time_left():
+    made, _, clock = terminal(DESIGN)
+    clock.now = 10.0
+    made("design 5/25: We  300.0  R_inf* 0.200  EIG 1.0 +- 0.1 nats")
+    assert made.line() == "characterize, 0:10, about 0:40 left: search of designs, design 5 of 25"
+
+
+def test_that_a_stage_that_is_skipped_is_passed_over():
+    made, *_ = terminal(DIAGNOSE)
+    made("location, shrinkage, next design")
+    assert "stage 3 of 3" in made.line()
+
+
+def test_that_a_log_gets_a_line_per_stage_and_one_every_half_minute():
+    made, stream, clock = terminal(characterize_stages(1))
+    for second in range(65):
+        clock.now = float(second)
+        made(f"assimilation: iteration {second + 1}, nhkv cost 1")
+    made("noise 1")
+    assert len(stream.getvalue().splitlines()) == 4  # at 0, 30, 60 s, and the second stage
+
+
+def test_that_verbose_prints_every_line_as_it_is_and_quiet_none():
+    made, stream, _ = terminal(verbose=True)
+    made(LONG)
+    assert stream.getvalue() == f"[   0.0 s] {LONG}\n"
+    made, stream, _ = terminal(quiet=True)
+    made(LONG)
+    assert stream.getvalue() == ""
+
+
+def test_that_the_line_rewrites_itself_and_is_wiped_before_results(monkeypatch):
+    out = io.StringIO()
+    monkeypatch.setattr(sys, "stdout", out)
+    made, stream, _ = terminal(DIAGNOSE, live=True)
+    with made:
+        made("assimilation: iteration 1, nhkv cost 1")
+        made("assimilation: iteration 12, nhkv cost 1")
+        print("result")
+        assert stream.getvalue().endswith(" \r")
+    assert sys.stdout is out
+    assert out.getvalue() == "result\n"
+    assert "\n" not in stream.getvalue()
+    assert len(re.findall("\riteration|\rcharacterize", stream.getvalue())) >= 2
+
+
+def test_that_the_line_moves_while_nothing_is_reported(monkeypatch):
+    monkeypatch.setattr("imr_torch.cli.progress._EVERY", 0.01)
+    made, stream, clock = terminal(DIAGNOSE, live=True)
+    with made:
+        made("assimilation: iteration 1, nhkv cost 1")
+        clock.now = 61.0
+        for _ in range(200):
+            if "1:01" in stream.getvalue():
+                break
+            made._stop.wait(0.01)
+    assert "stage 1 of 3, 1:01: fit" in stream.getvalue()
+
+
+@pytest.mark.parametrize(("option", "shown"), [([], False), (["--verbose"], True)])
+def test_that_a_command_shows_details_only_when_asked(option, shown, capsys):
+    space = ["--we-range", "200:400", "--evaluations", "3", "--draws", "2", "--physics", "polytropic"]
+    assert main(["design", "--case", "soft-pa", *space, *option]) == 0
+    said = capsys.readouterr().err
+    assert ("EIG" in said) is shown
+    assert (": search of designs, design 1 of 3" in said) is not shown
