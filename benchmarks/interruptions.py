@@ -313,6 +313,8 @@ def run(real: RealCampaign, every: int, randoms: int, note: Callable[[str], None
             number = source.randrange(len(counts))
             after = 0.05 + source.random() * real.seconds[number]
             ended, problem = real.interrupt(number, None, after=after, signum=signum)
+            if ended.code == 0 and problem is None:  # it had finished before
+                continue
             plain = signum == signal.SIGKILL or (ended.code in (0, 130) and ended.said.count("\n") <= 1)
             found[name].add(problem or (None if plain else f"after {after:.2f} s ended with {ended.code}: {ended.said}"))
     note(", ".join(f"{k} {v.same}/{v.tried}" for k, v in found.items()))
@@ -325,7 +327,7 @@ def start() -> None:
     parser.add_argument("--data", type=Path, default=EXAMPLE)
     parser.add_argument("--experiments", default="shot_1,shot_2,shot_3")
     parser.add_argument("--every", type=int, default=1, help="operations from one that is failed to the next, 0 for none")
-    parser.add_argument("--random", type=int, default=40, help="interruptions at random times, of each kind")
+    parser.add_argument("--random", type=int, default=40, help="attempts to interrupt at random times, of each kind")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

@@ -62,7 +62,7 @@ def told(folder) -> int:
     return 0
 
 
-EVERY = int(os.environ.get("IMR_TORCH_INTERRUPT_EVERY", "7"))  # operations; 1 for all of them, which takes a minute
+EVERY = int(os.environ.get("IMR_TORCH_INTERRUPT_EVERY", "11"))  # operations; 1 for all of them, which takes minutes
 WORK = {"simulated": simulated, "told": told}
 
 
