@@ -169,17 +169,16 @@ class ExperimentBatch:
 
     @cached_property
     def _scatter(self) -> Tensor:
-        """``E x T x T`` matrices whose quadratic form in ``1/sd`` is the scatter of the repeats about their mean."""
+        """Squares of the repeats about their mean: ``E x T`` for independent frames, whose sum over ``sd^2`` is the scatter.
+
+        For correlated frames ``E x T x T`` matrices, whose quadratic form in ``1/sd`` is the scatter.
+        """
         width = self.times.shape[1]
-        rows = []
-        for e in self.experiments:
-            deviation = (e.radius - e.mean).nan_to_num()
-            padded = torch.nn.functional.pad(deviation, (0, width - deviation.shape[1]))
-            rows.append(padded.mT @ padded)
-        scatter = torch.stack(rows)
+        deviations = [(e.radius - e.mean).nan_to_num() for e in self.experiments]
+        padded = [torch.nn.functional.pad(x, (0, width - x.shape[1])) for x in deviations]
         if self._decorrelation is None:
-            return torch.diag_embed(scatter.diagonal(dim1=-2, dim2=-1))
-        return scatter * (self._decorrelation.mT @ self._decorrelation)
+            return torch.stack([x.square().sum(0) for x in padded])
+        return torch.stack([x.mT @ x for x in padded]) * (self._decorrelation.mT @ self._decorrelation)
 
     @cached_property
     def nuisance_sds(self) -> Tensor:
@@ -204,7 +203,7 @@ class ExperimentBatch:
         weight = torch.where(self.mask, 1.0 / sd, 0.0)
         log_sd = sd.log()
         if self._decorrelation is None:
-            scatter = (weight.square() * self._scatter.diagonal(dim1=-2, dim2=-1)).sum(-1)
+            scatter = (weight.square() * self._scatter).sum(-1)
         else:
             scatter = (_along_frames(self._scatter, weight) * weight).sum(-1)
             log_sd = log_sd - self._decorrelation.diagonal(dim1=-2, dim2=-1).log()

@@ -337,3 +337,13 @@ def test_that_frames_before_time_zero_are_as_possible_as_they_were_measured() ->
     gel = PARAMETERS.pack({"G": 4e3, "mu": 0.1})[None]
     found = predict(PolytropicSimulator(), gel, batch, torch.zeros(1, 1, 3, dtype=torch.float64))
     assert bool(torch.isfinite(found).all())
+
+
+def test_that_independent_noise_takes_memory_in_proportion_to_the_frames() -> None:
+    count = 200_000  # a matrix of frames x frames would take 320 GB
+    times = torch.linspace(0.0, 2.0, count, dtype=torch.float64)
+    radius = torch.stack([0.5 + 0.1 * times, 0.5 - 0.1 * times])
+    batch = ExperimentBatch((Experiment("long", (400.0, 0.22), times, radius),))
+    expected = torch.distributions.Normal(torch.tensor(0.5).double(), batch.noise.sd(torch.tensor(0.5).double(), times))
+    value = batch.log_likelihood(torch.full((1, count), 0.5, dtype=torch.float64))
+    torch.testing.assert_close(value[0], expected.log_prob(radius).sum())
