@@ -1,11 +1,12 @@
 """Stage 3, observations: reading files, landmarks, noise, and experiments as dimensionless batches."""
 
+from imr_torch.observe import formats as formats  # registers the readers of the package
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment, ExperimentBatch, predict
 from imr_torch.observe.laboratory import SimulatedLaboratory
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
-from imr_torch.observe.load import load_traces
+from imr_torch.observe.load import SUFFIXES, find_files, load_traces
 from imr_torch.observe.noise import Noise, fit_noise
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.readers import READERS, Reader, register_reader
@@ -16,6 +17,7 @@ __all__ = [
     "KNOWN_LAYOUTS",
     "NUISANCES",
     "READERS",
+    "SUFFIXES",
     "Experiment",
     "ExperimentBatch",
     "Given",
@@ -30,6 +32,7 @@ __all__ = [
     "TraceSet",
     "collapse_time",
     "displaced",
+    "find_files",
     "find_landmarks",
     "fit_noise",
     "load_traces",
