@@ -7,12 +7,15 @@ repeated, so that a model that misses the data gets wider intervals.
 
 import time
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, FitOptions, SearchOptions, assimilate_estimating_noise, weigh
 from imr_torch.errors import InputDataError
+from imr_torch.files import write_json
 from imr_torch.material import Belief, ModelBelief, wide_prior
 from imr_torch.observe import (
     Experiment,
@@ -26,6 +29,7 @@ from imr_torch.observe import (
     to_experiment,
 )
 from imr_torch.random import child
+from imr_torch.saved import SavedCharacterization, draws_to_dict
 from imr_torch.select import (
     Evidence,
     PredictiveScore,
@@ -37,6 +41,9 @@ from imr_torch.select import (
 )
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.types import Progress
+
+if TYPE_CHECKING:
+    import pandas
 
 LEVELS = (0.05, 0.5, 0.95)
 _IMPROBABLE = 3.0  # nats behind the best from which the draws of a model are not repaired
@@ -112,9 +119,28 @@ class Characterization:
             "models": models,
             "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
             "noise": vars(self.noise),
+            "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),
+            "draws": draws_to_dict(self.assimilation),
             "cpu_seconds": self.seconds,
         }
+
+    def save(self, path: str | Path) -> None:
+        """Write :meth:`to_dict` as JSON, atomically."""
+        write_json(path, self.to_dict())
+
+    @staticmethod
+    def load(path: str | Path) -> SavedCharacterization:
+        """Read a result that :meth:`save` or the command line wrote: posterior, intervals, weighed draws, a table.
+
+        Raises:
+            InputDataError: if the file cannot be read, or holds no such result.
+        """
+        return SavedCharacterization.load(path)
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """One row per model and parameter, SI; needs pandas."""
+        return SavedCharacterization.from_dict(self.to_dict()).to_dataframe()
 
     def report(self) -> str:
         """The result as text: a table per model, with its certificate."""

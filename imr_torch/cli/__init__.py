@@ -10,11 +10,11 @@ from collections.abc import Sequence
 
 import torch
 
-from imr_torch.cli import campaign, characterize, design, diagnose, simulate
+from imr_torch.cli import batch, campaign, characterize, compare, design, diagnose, simulate
 from imr_torch.cli.common import add_engine_arguments
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError
 
-COMMANDS = (simulate, characterize, design, campaign, diagnose)
+COMMANDS = (simulate, characterize, batch, compare, design, campaign, diagnose)
 
 
 def parser() -> argparse.ArgumentParser:
