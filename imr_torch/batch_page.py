@@ -65,7 +65,8 @@ def _page(summary: BatchSummary) -> str:
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>Summary of shots</title><style>{_STYLE}</style></head><body><h1>Summary of shots</h1><p>{counts}. "
         f"Intervals hold 90 % of the posterior of the most probable model of each shot; the numbers of shots that "
-        f"have not converged are not to be used.</p>{figures}<h2>Shots</h2><div class='wide'><table><thead><tr>"
+        f"have not converged (orange) are not to be used. A dashed line is the median of those that have.</p>"
+        f"{figures}<h2>Shots</h2><div class='wide'><table><thead><tr>"
         + "".join(f"<th>{escape(head)}</th>" for head in heads)
         + f"</tr></thead><tbody>{body}</tbody></table></div></body></html>\n"
     )
@@ -117,10 +118,11 @@ def plot_shots(summary: BatchSummary, name: str, *, ax: Axes | None = None) -> A
     rows = [row for row in summary.rows if row.get(name) is not None]
     if ax is None:
         ax = plt.subplots(figsize=(min(4.0 + 0.22 * len(rows), 12.0), 3.4), layout="constrained")[1]
-    for place, row in enumerate(rows):
-        low, middle, high = (parameter.display_scale * row[f"{name}{end}"] for end in ("_low", "", "_high"))
-        reach = [[max(middle - low, 0.0)], [max(high - middle, 0.0)]]
-        ax.errorbar(place, middle, reach, fmt="o", ms=4, capsize=2, color=_MODEL if row["status"] == DONE else _DOUBTFUL)
+    for color, converged in ((_MODEL, True), (_DOUBTFUL, False)):
+        places = [i for i, row in enumerate(rows) if (row["status"] == DONE) == converged]
+        ends = [[parameter.display_scale * rows[i][f"{name}{end}"] for i in places] for end in ("_low", "", "_high")]
+        reach = [[max(y - x, 0.0) for x, y in zip(ends[k], ends[k + 1], strict=True)] for k in (0, 1)]
+        ax.errorbar(places, ends[1], reach, fmt="o", ms=4, capsize=2, color=color)
     done = sorted(parameter.display_scale * row[name] for row in rows if row["status"] == DONE)
     if len(done) > 1:
         ax.axhline(0.5 * (done[(len(done) - 1) // 2] + done[len(done) // 2]), color="#222222", lw=1, ls="--")
