@@ -21,9 +21,9 @@ import torch
 
 from imr_torch import characterize, load_traces
 from imr_torch.assimilate import ModelFit, SearchOptions, Verdict
-from imr_torch.characterize import Characterization, predictive_band, prepare
+from imr_torch.characterize import Characterization, predictive_band
 from imr_torch.errors import ImrError, InputDataError
-from imr_torch.observe import NUISANCES, TraceSet, collapse_time, find_landmarks
+from imr_torch.observe import NUISANCES, TraceSet, collapse_time, find_landmarks, prepare
 from imr_torch.plot import plot_experiment
 from imr_torch.simulate import Conditions, PolytropicSimulator, Simulator, Solution, TransportSimulator
 
@@ -126,7 +126,7 @@ def some(traces: TraceSet, most: int) -> TraceSet:
 
 def _long_enough(trace: TraceSet) -> bool:
     try:
-        prepare(trace, TransportSimulator(), rest_radius=REST)
+        prepare(trace, rest_radius=REST)
     except InputDataError:
         return False
     return True
@@ -211,12 +211,7 @@ def _line(row: dict[str, Any]) -> str:
     if "failure" in row:
         return f"| {row['set']} | | {row['failure']} |" + " |" * 9
     model, noise = row["models"][row["best"]], row["noise"]
-    answer = (
-        model["gaussian_answer"]
-        .removeprefix("Gaussian answer ")
-        .split(", means")[0]
-        .removesuffix("); take more samples, or NUTS")
-    )
+    answer = model["draws"].removeprefix("intervals ")
     cells = [
         row["set"],
         f"{row['curves']}{', R_inf assumed' if row['rest_assumed'] else ''}",

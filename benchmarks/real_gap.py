@@ -18,11 +18,10 @@ import torch
 from real_data import REST, SEED, chosen_files, run_missing, some
 
 from imr_torch import load_traces
-from imr_torch.characterize import prepare
 from imr_torch.errors import ImrError
 from imr_torch.gap import describe, diagnose, examine, library, noise_of_traces, to_json, write_page
 from imr_torch.material import wide_prior
-from imr_torch.observe import find_landmarks
+from imr_torch.observe import find_landmarks, prepare
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 
 
@@ -50,7 +49,7 @@ class Task:
         try:
             traces = some(load_traces(self.file), self.curves)
             tail = all(find_landmarks(trace).rest_radius_m is not None for trace in traces)
-            experiments = prepare(traces, simulator, collapses=self.collapses, rest_radius=None if tail else REST)[0]
+            experiments = prepare(traces, collapses=self.collapses, rest_radius=None if tail else REST).experiments
             noise, base = noise_of_traces(experiments), wide_prior((self.base,)).models[0]
             effects = library(base=self.base)
             report = diagnose(

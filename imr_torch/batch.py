@@ -103,7 +103,7 @@ class BatchSummary:
     Args:
         rows: ``shot``, ``status`` (done, not converged, failed), ``file``, ``curves``, ``frames``, ``We``, ``R_inf*``,
             ``model`` and its ``probability``, ``<parameter>_low``, ``<parameter>`` and ``<parameter>_high`` (5, 50, 95 %
-            quantile of the most probable model, SI), ``rmse``, ``gaussian_answer``, ``cpu_seconds``, ``error``.
+            quantile of the most probable model, SI), ``rmse``, ``verdict``, ``cpu_seconds``, ``error``.
 
     >>> from imr_torch.batch import BatchSummary
     >>> failed = {"shot": "b", "status": "failed", "error": "no bubble"}
@@ -119,7 +119,7 @@ class BatchSummary:
         """All columns, in order: parameters in the order of the package."""
         found = {name for row in self.rows for name in row}
         known = ("shot", *_FEATURES, *(n for p in PARAMETERS.names for n in (f"{p}_low", p, f"{p}_high")))
-        last = ("rmse", "gaussian_answer", "cpu_seconds", "error")
+        last = ("rmse", "verdict", "cpu_seconds", "error")
         return tuple(name for name in (*known, *last) if name in found)
 
     @property
@@ -389,7 +389,7 @@ def _row(shot: Shot, document: Mapping[str, Any]) -> dict[str, Any]:
         "model": saved.best,
         "probability": saved.probabilities[saved.best],
         "rmse": entry.get("rmse"),
-        "gaussian_answer": entry.get("gaussian_answer"),
+        "verdict": saved.verdict(),
         "cpu_seconds": document.get("cpu_seconds"),
     }
     for name, (low, middle, high) in saved.intervals().items():

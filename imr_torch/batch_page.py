@@ -64,12 +64,18 @@ def _page(summary: BatchSummary) -> str:
     return (
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>Summary of shots</title><style>{_STYLE}</style></head><body><h1>Summary of shots</h1><p>{counts}. "
-        f"Intervals hold 90 % of the posterior of the most probable model of each shot; the numbers of shots that "
-        f"have not converged (orange) are not to be used. A dashed line is the median of those that have.</p>"
+        "Intervals hold 90 % of the posterior of the most probable model of each shot. Those of shots that have not "
+        "converged, or whose weighed draws are not reliable (verdict refused), are orange and not to be quoted. A dashed line "
+        "is the median of the other shots.</p>"
         f"{figures}<h2>Shots</h2><div class='wide'><table><thead><tr>"
         + "".join(f"<th>{escape(head)}</th>" for head in heads)
         + f"</tr></thead><tbody>{body}</tbody></table></div></body></html>\n"
     )
+
+
+def _usable(row: Mapping[str, Any]) -> bool:
+    """Whether the intervals of a shot may be quoted."""
+    return row["status"] == DONE and row.get("verdict") != "refused"
 
 
 def _heading(parameter: Parameter) -> str:
@@ -84,7 +90,7 @@ def _line(row: Mapping[str, Any], names: Sequence[str], width: int) -> str:
     cells = [str(row["curves"]), f"{row['We']:.0f}", f"{row['R_inf*']:.3f}", row["model"], f"{row['probability']:.3f}"]
     cells += [_interval(row, PARAMETERS[name]) for name in names]
     cells.append("" if row.get("rmse") is None else f"{row['rmse']:.4f}")
-    kind = "" if row["status"] == DONE else ' class="not"'
+    kind = "" if _usable(row) else ' class="not"'
     return f"<tr{kind}>{first}" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
 
 
@@ -106,7 +112,7 @@ def _figure(summary: BatchSummary, name: str) -> str:
 
 
 def plot_shots(summary: BatchSummary, name: str, *, ax: Axes | None = None) -> Axes:
-    """A parameter with its 90 % interval over the shots that have it; shots that have not converged are orange.
+    """A parameter with its 90 % interval over the shots that have it; those that are not to be quoted are orange.
 
     >>> from imr_torch.batch import BatchSummary
     >>> from imr_torch.batch_page import plot_shots
@@ -118,12 +124,12 @@ def plot_shots(summary: BatchSummary, name: str, *, ax: Axes | None = None) -> A
     rows = [row for row in summary.rows if row.get(name) is not None]
     if ax is None:
         ax = plt.subplots(figsize=(min(4.0 + 0.22 * len(rows), 12.0), 3.4), layout="constrained")[1]
-    for color, converged in ((_MODEL, True), (_DOUBTFUL, False)):
-        places = [i for i, row in enumerate(rows) if (row["status"] == DONE) == converged]
+    for color, usable in ((_MODEL, True), (_DOUBTFUL, False)):
+        places = [i for i, row in enumerate(rows) if _usable(row) == usable]
         ends = [[parameter.display_scale * rows[i][f"{name}{end}"] for i in places] for end in ("_low", "", "_high")]
         reach = [[max(y - x, 0.0) for x, y in zip(ends[k], ends[k + 1], strict=True)] for k in (0, 1)]
         ax.errorbar(places, ends[1], reach, fmt="o", ms=4, capsize=2, color=color)
-    done = sorted(parameter.display_scale * row[name] for row in rows if row["status"] == DONE)
+    done = sorted(parameter.display_scale * row[name] for row in rows if _usable(row))
     if len(done) > 1:
         ax.axhline(0.5 * (done[(len(done) - 1) // 2] + done[len(done) // 2]), color="#222222", lw=1, ls="--")
     if 0 < len(rows) <= _NAMED:

@@ -5,6 +5,7 @@ law; then its scale, constant part and correlation time are estimated from the r
 repeated, so that a model that misses the data gets wider intervals.
 """
 
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,16 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, FitOptions, SearchOptions, assimilate_estimating_noise, weigh
+from imr_torch.assimilate import (
+    NOISE_ROUNDS,
+    Assimilation,
+    FitOptions,
+    ModelFit,
+    SearchOptions,
+    Verdict,
+    assimilate_estimating_noise,
+    weigh,
+)
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.material import Belief, ModelBelief, wide_prior
@@ -22,11 +32,10 @@ from imr_torch.observe import (
     ExperimentBatch,
     Landmarks,
     Noise,
+    Prepared,
     TraceSet,
-    collapse_time,
-    find_landmarks,
     predict,
-    to_experiment,
+    prepare,
 )
 from imr_torch.random import child
 from imr_torch.saved import SavedCharacterization, draws_to_dict
@@ -46,8 +55,26 @@ if TYPE_CHECKING:
     import pandas
 
 LEVELS = (0.05, 0.5, 0.95)
-_IMPROBABLE = 3.0  # nats behind the best from which the draws of a model are not repaired
-_MIN_FRAMES = 5
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How far draws are weighed where they do not settle the intervals of a model.
+
+    Args:
+        rounds: of draws, each up to twice as many as the one before.
+        behind: nats behind the best model from which a model gets one round only.
+
+    >>> from imr_torch.characterize import EFFORTS
+    >>> EFFORTS["thorough"].rounds
+    8
+    """
+
+    rounds: int
+    behind: float
+
+
+EFFORTS = {"normal": Effort(4, 3.0), "thorough": Effort(8, 7.0)}
 _CURVES_LISTED = 10
 
 
@@ -56,8 +83,7 @@ class Characterization:
     """Parameters, model probabilities and fits inferred from curves of one gel.
 
     Args:
-        experiments: the dimensionless curves that were fitted, cut to the window.
-        landmarks: landmarks of each trace, by experiment id.
+        prepared: the dimensionless curves that were fitted, cut to the window, and what was found on the way.
         assimilation: the fits of all models, with their certificates.
         evidence: the evidence of each model.
         posterior: parameters and model probabilities after the data.
@@ -85,13 +111,22 @@ class Characterization:
     (('nhkv',), True, 1)
     """
 
-    experiments: tuple[Experiment, ...]
-    landmarks: dict[str, Landmarks]
+    prepared: Prepared
     assimilation: Assimilation
     evidence: tuple[Evidence, ...]
     posterior: Belief
     seconds: float
     scores: tuple[PredictiveScore, ...] = ()
+
+    @property
+    def experiments(self) -> tuple[Experiment, ...]:
+        """The dimensionless curves that were fitted, cut to the window."""
+        return self.prepared.experiments
+
+    @property
+    def landmarks(self) -> dict[str, Landmarks]:
+        """Landmarks of each trace, by experiment id."""
+        return self.prepared.landmarks
 
     @property
     def noise(self) -> Noise:
@@ -110,18 +145,20 @@ class Characterization:
                 "log_evidence": evidence.value,
                 "log_evidence_error": evidence.error,
                 "effective_samples": evidence.effective_samples,
-                "gaussian_answer": fit.trust,
+                "draws": fit.trust,
+                "verdict": fit.verdict.name.lower(),
                 "certificate": certificate,
             }
         return {
             "experiments": [{"id": e.label, "We": e.design[0], "R_inf*": e.design[1]} for e in self.experiments],
+            "cautions": list(self.prepared.cautions),
             "model_probabilities": self.posterior.probabilities,
             "models": models,
             "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
             "noise": vars(self.noise),
             "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),
-            "draws": draws_to_dict(self.assimilation),
+            "weighed_draws": draws_to_dict(self.assimilation),
             "cpu_seconds": self.seconds,
         }
 
@@ -156,7 +193,7 @@ class Characterization:
                 low, middle, high = (parameter.display_scale * x for x in intervals(fit.posterior)[parameter.name])
                 unit = parameter.display_unit or ("" if parameter.unit == "1" else parameter.unit)
                 lines.append(f"  {parameter.name:6s} {middle:10.4g} {unit:5s} (90 %: {low:.4g} to {high:.4g})")
-            lines += [f"  {fit.certificate}", f"  {fit.trust}"]
+            lines += [f"  {fit.certificate}", f"  {fit.trust}{self._advice(fit)}"]
         if len(self.experiments) > 1:
             worst = sorted(self.assimilation.rmse_by_experiment(order[0].model).items(), key=lambda item: -item[1])
             lines.append(f"\nRMSE of each curve under {order[0].prior.material.title}, largest first:")
@@ -170,43 +207,18 @@ class Characterization:
             ]
         return "\n".join(lines)
 
+    def _advice(self, fit: ModelFit) -> str:
+        """What can be done where the intervals of a model are not reliable."""
+        if fit.verdict is not Verdict.REFUSED:
+            return ""
+        improbable = self.posterior.probabilities[fit.model] < math.exp(-EFFORTS["normal"].behind)
+        drawn = "few draws, since it is improbable" if improbable else "curves at other designs may settle them"
+        return f"; {drawn}; effort='thorough' (--effort thorough) weighs more"
+
 
 def intervals(belief: ModelBelief) -> dict[str, list[float]]:
     """Parameter -> [5 %, 50 %, 95 %] quantile, SI."""
     return dict(zip(belief.names, belief.quantile(LEVELS).T.tolist(), strict=True))
-
-
-def prepare(
-    traces: TraceSet,
-    simulator: Simulator,
-    *,
-    collapses: int = 2,
-    rest_radius: tuple[float, float] | None = None,
-) -> tuple[tuple[Experiment, ...], dict[str, Landmarks]]:
-    """Dimensionless experiments of a set of traces, cut after ``collapses`` collapses.
-
-    Args:
-        traces: the curves.
-        simulator: for its scales.
-        collapses: collapses that the window holds.
-        rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
-
-    Raises:
-        InputDataError: for a record without R_inf, or with too few frames in the window.
-    """
-    experiments, landmarks = [], {}
-    for trace in traces:
-        marks = find_landmarks(trace)
-        experiment = to_experiment(trace, marks, simulator.conditions.surroundings, rest_radius=rest_radius)
-        experiment = experiment.until(collapse_time(experiment.times, experiment.radius[0], collapses))
-        if len(experiment.times) < _MIN_FRAMES:
-            raise InputDataError(
-                f"{trace.source}: experiment '{trace.experiment_id}' has {len(experiment.times)} frames between its maximum "
-                f"and collapse {collapses}; at least {_MIN_FRAMES} are needed. Raise --collapses, or leave it out."
-            )
-        experiments.append(experiment)
-        landmarks[trace.experiment_id] = marks
-    return tuple(experiments), landmarks
 
 
 def characterize(
@@ -220,6 +232,7 @@ def characterize(
     rest_radius: tuple[float, float] | None = None,
     options: FitOptions | None = None,
     scores: bool = False,
+    effort: str = "normal",
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Characterization:
@@ -237,11 +250,13 @@ def characterize(
             :class:`imr_torch.assimilate.En4DVarOptions`.
         scores: whether the prediction of held-out curves is scored too (each alone up to five, more in four parts), with the
             noise that was estimated from all.
+        effort: how far draws are weighed where they do not settle the intervals: ``"normal"`` or ``"thorough"``, see
+            ``EFFORTS``.
         seed: of everything random.
         progress: called with one line per step.
 
     Raises:
-        InputDataError: as in :func:`prepare`, if there is no trace, or scores are asked for and there is only one.
+        InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, or for scores of only one.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -268,12 +283,14 @@ def characterize(
         raise InputDataError("No curve to characterise; load at least one.")
     if scores and len(traces) == 1:
         raise InputDataError("Scores hold curves out, and there is 1; give at least two, or ask for no scores.")
+    if effort not in EFFORTS:
+        raise InputDataError(f"effort is {effort!r}; expected one of {', '.join(EFFORTS)}.")
     prior, noise = prior or wide_prior(), noise or Noise()
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
-    experiments, landmarks = prepare(traces, simulator, collapses=collapses, rest_radius=rest_radius)
+    prepared = prepare(traces, simulator.conditions.surroundings, collapses=collapses, rest_radius=rest_radius)
     result = assimilate_estimating_noise(
         prior,
-        ExperimentBatch(experiments, noise),
+        ExperimentBatch(prepared.experiments, noise),
         simulator,
         rounds=NOISE_ROUNDS if estimate_noise else 0,
         seed=child(seed, "fit"),
@@ -281,16 +298,18 @@ def characterize(
         progress=progress,
     )
     stated = options.drop_behind if isinstance(options, SearchOptions) else None
-    drop_behind = _IMPROBABLE if stated is None else stated
-    result = weigh(result, simulator, seed=child(seed, "weigh"), drop_behind=drop_behind, progress=progress)
-    evidence = evidences(result)
-    posterior = update(result, evidence)
+    drop_behind = EFFORTS[effort].behind if stated is None else stated
+    weighed = weigh(
+        result, simulator, seed=child(seed, "weigh"), rounds=EFFORTS[effort].rounds, drop_behind=drop_behind, progress=progress
+    )
+    evidence = evidences(weighed)
+    posterior = update(weighed, evidence)
     found: tuple[PredictiveScore, ...] = ()
     if scores:
         own = child(seed, "scores")
         search = options if isinstance(options, SearchOptions) else None
-        found = sum_over_folds(cross_validate(result, simulator, seed=own, options=search, progress=progress))
-    return Characterization(experiments, landmarks, result, evidence, posterior, time.process_time() - started, found)
+        found = sum_over_folds(cross_validate(weighed, simulator, seed=own, options=search, progress=progress))
+    return Characterization(prepared, weighed, evidence, posterior, time.process_time() - started, found)
 
 
 def predictive_band(

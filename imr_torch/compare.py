@@ -71,7 +71,7 @@ class Comparison:
     >>> part = prior["nhkv"]
     >>> def gel(shift):
     ...     belief = prior.__class__((part.with_gaussian(part.mean + shift, 0.05 * part.chol),), prior.log_probabilities)
-    ...     answer = {"gaussian_answer": "Gaussian answer trusted", "certificate": {"converged": True}}
+    ...     answer = {"verdict": "trusted", "certificate": {"converged": True}}
     ...     document = {"belief": belief.to_dict(), "prior": prior.to_dict(), "models": {"nhkv": answer}}
     ...     return SavedCharacterization.from_dict(document)
     >>> same, other = compare(gel(0.0), gel(0.01)), compare(gel(0.0), gel(0.5))
@@ -228,7 +228,7 @@ def _cautions(a: SavedCharacterization, b: SavedCharacterization, model: str, na
     for result, name in ((a, names[0]), (b, names[1])):
         if not result.converged(model):
             found.append(f"the fit of {model} to {name} has not converged")
-        if "NOT TO BE TRUSTED" in result.gaussian_answer(model):
+        if result.verdict(model) == "refused":
             found.append(f"neither the Gaussian of {name} nor its weighed draws are reliable")
         if not result.draws(model).weighed:
             found.append(f"{name} holds no weighed draws, so its Gaussian approximation is drawn from")
@@ -259,7 +259,7 @@ def _log_bayes_factor(a: SavedCharacterization, b: SavedCharacterization, models
             weight = logs[0] + logs[1] - logs[2]
             if weight < -_SHOWN:
                 continue
-        wrong = next((x for x in (a, b) if "Gaussian answer trusted" not in x.gaussian_answer(key)), None)
+        wrong = next((x for x in (a, b) if x.verdict(key) != "trusted"), None)
         if wrong is not None:
             return None, f"the posterior of {key} from {wrong.source} is not Gaussian by its weighed draws"
         factor = _gaussian_factor(a.posterior[key], b.posterior[key], a.prior[key])

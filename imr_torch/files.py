@@ -2,12 +2,14 @@
 
 import json
 import os
-import tempfile
+import secrets
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
 from imr_torch.errors import InputDataError
+
+_LONGEST_NAME = 200  # bytes; file systems take 255, and temporary files have longer names
 
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
@@ -21,8 +23,14 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     ...     (Path(folder) / "curve.bin").read_bytes()
     b'radius'
     """
+    path = Path(path).resolve()  # a link stays one
     path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    if path.exists() and not path.is_file():  # a device or a pipe is written to, not replaced
+        with open(path, "wb") as stream:
+            write(stream)
+        return
+    temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(6)}.tmp")
+    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
     try:
         with os.fdopen(descriptor, "wb") as stream:
             write(stream)
@@ -32,6 +40,34 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     except BaseException:
         os.unlink(temporary)
         raise
+
+
+def check_target(path: str | Path, option: str, *, folder: bool = False) -> None:
+    """Refuse a path that could not be written to, before any work is done.
+
+    Args:
+        path: a file, or a folder.
+        option: who asked for it, for the message.
+        folder: whether it is to be a folder.
+
+    Raises:
+        InputDataError: if it is of the other kind, or it or the nearest folder above it cannot be written to.
+
+    >>> import tempfile
+    >>> from imr_torch.files import check_target
+    >>> with tempfile.TemporaryDirectory() as home:
+    ...     check_target(f"{home}/new/fit.json", "--json")
+    """
+    target = Path(path)
+    if len(target.name.encode()) > _LONGEST_NAME:
+        raise InputDataError(f"{option} has a name of {len(target.name.encode())} bytes; give one of {_LONGEST_NAME} at most.")
+    if target.exists() and target.is_dir() != folder:
+        raise InputDataError(f"{option} is {str(path)!r}, which is {'a file' if folder else 'a folder'}; give another name.")
+    nearest = next(place for place in (target, *target.absolute().parents) if place.exists())
+    if nearest != target and not nearest.is_dir():
+        raise InputDataError(f"{option} is {str(path)!r}, and {str(nearest)!r} is no folder; give another name.")
+    if not os.access(nearest, os.W_OK):
+        raise InputDataError(f"{option} is {str(path)!r}, and {str(nearest)!r} may not be written to; give another folder.")
 
 
 def write_json(path: str | Path, document: Any) -> None:

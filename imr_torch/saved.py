@@ -121,9 +121,9 @@ class SavedCharacterization:
         """Parameter -> [5 %, 50 %, 95 %] quantile of a model (the most probable when not given), SI."""
         return dict(self._model(model).get("intervals", {}))
 
-    def gaussian_answer(self, model: str | None = None) -> str:
-        """Whether the Gaussian of a model is to be used, with the reason."""
-        return str(self._model(model).get("gaussian_answer", "Gaussian answer unchecked"))
+    def verdict(self, model: str | None = None) -> str:
+        """Whether the Gaussian of a model is to be used: ``"trusted"``, ``"repaired"``, ``"refused"`` or ``"unchecked"``."""
+        return str(self._model(model).get("verdict", "unchecked"))
 
     def converged(self, model: str | None = None) -> bool:
         """Whether the fit of a model has converged."""
@@ -139,7 +139,7 @@ class SavedCharacterization:
             InputDataError: if the model is not part of the result, or its draws are incomplete.
         """
         part = self.posterior[model or self.best]
-        entry = self.document.get("draws", {}).get(part.model)
+        entry = self.document.get("weighed_draws", {}).get(part.model)
         if entry is None:
             values = part.physical(part.controls(_GAUSSIAN_DRAWS, seed=seed))
             return WeighedDraws(part.names, values, torch.full((len(values),), 1.0 / len(values), dtype=values.dtype), False)
@@ -168,7 +168,7 @@ class SavedCharacterization:
                         "median": middle,
                         "high": high,
                         "converged": self.converged(key),
-                        "gaussian_answer": self.gaussian_answer(key),
+                        "verdict": self.verdict(key),
                         "rmse": entry.get("rmse"),
                         "log_evidence": entry.get("log_evidence"),
                     }

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -11,15 +12,15 @@ import pytest
 import torch
 
 import imr_torch.batch as batch
-from imr_torch import PolytropicSimulator, wide_prior
+from imr_torch import Characterization, PolytropicSimulator, characterize, wide_prior
 from imr_torch.assimilate import SearchOptions
 from imr_torch.batch import BatchOptions, BatchSummary, characterize_shot, run_batch
 from imr_torch.batch_page import plot_shots, write_summary
 from imr_torch.cli import main
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import load_traces
-from imr_torch.saved import SavedCharacterization
+from imr_torch.saved import SavedCharacterization, to_dataframe
 from imr_torch.simulate import process_pool
 from imr_torch.units import Surroundings
 from tests.workers import fatal
@@ -90,6 +91,39 @@ def test_that_every_file_has_a_result_or_a_reason(shots: Path, tmp_path: Path) -
     assert summary.report().splitlines()[0] == "4 shot(s): 3 done, 0 not converged, 1 failed"
     frame = summary.to_dataframe()
     assert frame["G"].notna().sum() == 3
+
+
+def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(shots: Path, tmp_path: Path) -> None:
+    result = characterize(
+        load_traces(shots / "gel_1.csv"),
+        prior=OPTIONS.prior,
+        simulator=OPTIONS.simulator,
+        rest_radius=OPTIONS.rest_radius,
+        estimate_noise=False,
+        options=OPTIONS.options,
+    )
+    result.save(tmp_path / "gel.json")
+    saved = Characterization.load(tmp_path / "gel.json")
+    assert saved.posterior.to_dict() == result.posterior.to_dict()
+    assert saved.prior is not None
+    assert saved.prior.to_dict() == OPTIONS.prior.to_dict()
+    fit = result.assimilation["nhkv"]
+    assert fit.sample is not None
+    draws = saved.draws()
+    torch.testing.assert_close(draws.weights, fit.sample.weights)
+    mean = draws.weights @ draws.values
+    torch.testing.assert_close(mean, result.posterior["nhkv"].means, rtol=0.02, atol=0.0)
+    assert saved.verdict() == fit.verdict.name.lower()
+    assert saved.converged() == fit.certificate.converged
+    frame = result.to_dataframe()
+    assert list(frame["parameter"]) == ["G", "mu"]
+    assert frame.equals(saved.to_dataframe())
+
+
+def test_that_a_table_needs_pandas_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(UnsupportedError, match=r"to_dataframe needs pandas: pip install pandas; rows\(\) gives the same"):
+        to_dataframe([{"a": 1}])
 
 
 def test_that_a_run_goes_on_with_what_is_missing_or_has_changed(shots: Path, tmp_path: Path, calls: list[str]) -> None:
@@ -226,7 +260,7 @@ def test_that_the_command_writes_all_and_tells_of_failures(shots: Path, tmp_path
     ("arguments", "message"),
     [
         (["{in}", "--out", "{in}"], "the folder of the curves; name another one"),
-        (["{in}", "--out", "{in}/bad.csv"], "--out is .*bad.csv', which is a file; name a folder"),
+        (["{in}", "--out", "{in}/bad.csv"], "--out is .*bad.csv', which is a file; give another name"),
         (["{in}", "--out", "{out}", "--workers", "0"], "--workers is 0; expected at least 1"),
         (["{in}", "--out", "{out}", "--collapses", "0"], "--collapses is 0; expected at least 1"),
         (["{in}", "--out", "{out}", "--workers", "2", "--cluster", "x"], "--workers and --cluster both say who does the work"),

@@ -256,11 +256,14 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
         (["characterize", "{file}", "--experiments", "b"], "No experiment 'b' among the 1 loaded: a"),
         (
             ["characterize", "{file}", "--rest-radius", "1.2:0.1"],
-            "R_inf/Rmax is 1.200 .*expected a rest radius below the maximum",
+            "rest_radius is 1.2:0.1; expected R_inf/Rmax between 0 and 1",
         ),
         (["characterize", "{file}", "--rest-radius", "wide"], "--rest-radius: 'wide' is not VALUE:VALUE, for example 0.2:0.1"),
         (["characterize", "{file}", "--belief", "{file}"], "not a saved belief"),
-        (["characterize", "{file}", "--scores"], "Scores hold curves out, and there is 1; give at least two"),
+        (
+            ["characterize", "{file}", "--scores", "--rest-radius", "0.2:0.1"],
+            "Scores hold curves out, and there is 1; give at least two",
+        ),
         (["characterize", "{file}", "--scores", "--each"], "--scores predicts curves from others, and --each fits every one"),
         (["characterize", "{file}", "--known", "G"], "--known: 'G' is not NAME=NUMBER"),
         (["simulate", "--set", "G=1e4"], "model 'nhkv' has the parameters G, mu; got G"),

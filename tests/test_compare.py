@@ -16,7 +16,7 @@ from imr_torch.material import Belief, wide_prior
 from imr_torch.saved import SavedCharacterization
 
 PRIOR = wide_prior(["nhkv"])
-TRUSTED = {"gaussian_answer": "Gaussian answer trusted (k 0.1)", "certificate": {"converged": True}}
+TRUSTED = {"verdict": "trusted", "certificate": {"converged": True}}
 
 
 def gel(datum: tuple[float, float], sd: float, *, prior: Belief = PRIOR, **changes: Any) -> SavedCharacterization:
@@ -72,7 +72,7 @@ def test_that_same_gels_are_called_the_same_and_others_different() -> None:
 def test_that_parameters_are_compared_over_all_pairs_of_weighed_draws() -> None:
     def with_draws(stiffness: list[float], weights: list[float]) -> SavedCharacterization:
         values = {"G": stiffness, "mu": [0.1] * len(stiffness)}
-        return gel((0.0, 0.0), 0.1, draws={"nhkv": {"weights": weights, "values": values}})
+        return gel((0.0, 0.0), 0.1, weighed_draws={"nhkv": {"weights": weights, "values": values}})
 
     found = compare(with_draws([1000.0, 4000.0], [0.75, 0.25]), with_draws([2000.0], [1.0]))
     assert found["G"].probability_greater == pytest.approx(0.25)
@@ -87,7 +87,7 @@ def test_that_parameters_are_compared_over_all_pairs_of_weighed_draws() -> None:
     [
         ({"without": "prior"}, "a result does not hold its prior"),
         (
-            {"models": {"nhkv": {**TRUSTED, "gaussian_answer": "Gaussian answer repaired"}}},
+            {"models": {"nhkv": {**TRUSTED, "verdict": "repaired"}}},
             "is not Gaussian by its weighed draws",
         ),
     ],
@@ -109,7 +109,7 @@ def test_that_priors_that_differ_give_no_bayes_factor() -> None:
 
 
 def test_that_doubtful_results_are_compared_with_a_caution() -> None:
-    bad = {"gaussian_answer": "Gaussian answer NOT TO BE TRUSTED (k 0.9)", "certificate": {"converged": False}}
+    bad = {"verdict": "refused", "certificate": {"converged": False}}
     found = compare(gel((0.3, 0.0), 0.1, models={"nhkv": bad}), gel((0.3, 0.0), 0.1), names=("a", "b"))
     text = " ".join(found.cautions)
     assert "the fit of nhkv to a has not converged" in text
@@ -157,4 +157,4 @@ def test_that_results_without_a_common_model_are_refused(tmp_path: Path) -> None
 @pytest.mark.parametrize("draws", [{"weights": [1.0]}, {"weights": [1.0], "values": {"G": [1.0, 2.0], "mu": [1.0, 2.0]}}])
 def test_that_draws_that_are_not_whole_are_refused(draws: dict[str, Any]) -> None:
     with pytest.raises(InputDataError, match="draws of 'nhkv'"):
-        compare(gel((0.3, 0.0), 0.1, draws={"nhkv": draws}), gel((0.3, 0.0), 0.1))
+        compare(gel((0.3, 0.0), 0.1, weighed_draws={"nhkv": draws}), gel((0.3, 0.0), 0.1))

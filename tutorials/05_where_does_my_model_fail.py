@@ -10,10 +10,9 @@ from pathlib import Path
 
 import torch
 
-from imr_torch.characterize import prepare
 from imr_torch.gap import LIBRARY, describe, diagnose, examine, library, noise_of_traces, plots, to_json, write_page
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import SimulatedLaboratory, load_traces
+from imr_torch.observe import SimulatedLaboratory, load_traces, prepare
 from imr_torch.simulate import PolytropicSimulator, TransportSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
@@ -73,7 +72,7 @@ print(blind.verdict, blind.cause, "-", blind.reason)
 # %%
 physics = PolytropicSimulator() if SMOKE else TransportSimulator()
 traces = load_traces(HERE / "data" / "example_gel.csv")
-curves, _ = prepare(traces.select(["shot_1"]) if SMOKE else traces, physics)
+curves = prepare(traces.select(["shot_1"]) if SMOKE else traces).experiments
 noise = noise_of_traces(curves)
 print(f"noise {noise}")
 report = diagnose(

@@ -80,7 +80,7 @@ class Verdict(Enum):
     UNCHECKED = "unchecked"
     TRUSTED = "trusted"
     REPAIRED = "repaired"
-    REFUSED = "NOT TO BE TRUSTED"
+    REFUSED = "not reliable"
 
 
 @dataclass(frozen=True)
@@ -181,18 +181,20 @@ class ModelFit:
 
     @property
     def trust(self) -> str:
-        """The verdict with its reasons, one line."""
+        """The verdict with its reasons and what to quote, one line."""
         if self.sample is None:
-            return f"Gaussian answer {self.verdict.value}"
+            return "no draws were weighed: the intervals are those of a Gaussian about the optimum"
         sample = self.sample
         shape = f"k {sample.pareto_k:.2f}"
         if sample.rounds > 1:
             shape = f"k {sample.first_shape:.2f}, {sample.pareto_k:.2f} after {sample.rounds} rounds"
-        line = f"Gaussian answer {self.verdict.value} ({shape}, ESS {sample.effective_samples:.0f} of {len(sample)}"
+        shape += f", effective {sample.effective_samples:.0f} of {len(sample)}"
+        if self.verdict is Verdict.TRUSTED:
+            return f"intervals trusted: weighed draws confirm the fitted Gaussian ({shape})"
         if self.verdict is Verdict.REPAIRED:
             moved = ((sample.mean - self.mean).abs() / torch.linalg.norm(self.chol, dim=1)).amax()
-            line += f", means moved by up to {float(moved):.2f} sd"
-        return line + ("); take more samples, or NUTS" if self.verdict is Verdict.REFUSED else ")")
+            return f"intervals repaired: of weighed draws, {float(moved):.2f} sd from the fitted Gaussian at most ({shape})"
+        return f"intervals not reliable: quote none of this model ({shape})"
 
     def nuisances_at(self, controls: Tensor) -> Tensor:
         """Most probable nuisances given the gel, linearised: ``... x d`` to ``... x E x 3``."""

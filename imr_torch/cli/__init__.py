@@ -1,9 +1,12 @@
 """The command ``imr-torch``: one file per subcommand, results as text, JSON and figures.
 
-Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that did not converge.
+Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that did not converge, 130
+stopped from the keyboard.
 """
 
 import argparse
+import io
+import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -13,6 +16,7 @@ import torch
 from imr_torch.cli import batch, campaign, characterize, compare, design, diagnose, simulate
 from imr_torch.cli.common import add_engine_arguments
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError
+from imr_torch.files import check_target
 
 COMMANDS = (simulate, characterize, batch, compare, design, campaign, diagnose)
 
@@ -46,14 +50,37 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     args = parser().parse_args(argv)
     torch.set_num_threads(1)  # of tensor operators, which are small here; the engine has threads of its own
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names of experiments on a terminal that lacks their letters
     try:
+        _check_targets(args)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the certificate is printed with the result
             args.run(args)
+        sys.stdout.flush()
     except ConvergenceError as error:
-        print(f"imr-torch: not converged: {error}", file=sys.stderr)
-        return 1
+        return _ended(f"not converged: {error}", 1)
     except ImrError as error:
-        print(f"imr-torch: {error}", file=sys.stderr)
-        return 2
+        return _ended(str(error), 2)
+    except BrokenPipeError:  # whoever read the output has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except OSError as error:
+        return _ended(f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", 2)
+    except KeyboardInterrupt:
+        return _ended("stopped; what was written is complete", 130)
     return 0
+
+
+def _ended(message: str, status: int) -> int:
+    """Say in one line why a command ended; returns the exit status."""
+    print(f"imr-torch: {message}", file=sys.stderr)
+    return status
+
+
+def _check_targets(args: argparse.Namespace) -> None:
+    """Refuse files and folders that could not be written, before any work is done."""
+    for option, folder in (("json", False), ("html", False), ("out", True)):
+        if path := getattr(args, option, None):
+            check_target(path, f"--{option}", folder=folder)

@@ -111,8 +111,6 @@ def _check(args: argparse.Namespace) -> None:
     if args.workers is not None and args.cluster is not None:
         raise InputDataError("--workers and --cluster both say who does the work; give one of them.")
     out = Path(args.out)
-    if out.exists() and not out.is_dir():
-        raise InputDataError(f"--out is {args.out!r}, which is a file; name a folder.")
     if any(Path(name).is_dir() and Path(name).resolve() == out.resolve() for name in args.files):
         raise InputDataError(
             f"--out is {args.out!r}, the folder of the curves; name another one, or the summary would be read as one."

@@ -43,7 +43,7 @@ from imr_torch.campaign import (
     SpaceFilling,
     stopping_rule,
 )
-from imr_torch.characterize import intervals, predictive_band, prepare
+from imr_torch.characterize import intervals, predictive_band
 from imr_torch.cli.common import (
     METHODS,
     add_physics_argument,
@@ -59,7 +59,7 @@ from imr_torch.cli.common import (
 from imr_torch.cli.design import add_space_arguments, plan_of, space_of
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS, ReferenceCase, reference_case
-from imr_torch.observe import Experiment, Layout, SimulatedLaboratory, load_traces
+from imr_torch.observe import Experiment, Layout, SimulatedLaboratory, load_traces, prepare
 from imr_torch.plot import plot_experiment, plot_information, plot_parameter, plot_probabilities
 from imr_torch.random import child
 
@@ -181,7 +181,10 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> None:
     if args.tell:
         traces = load_traces(*args.tell, layout=Layout.from_text(args.layout) if args.layout else None)
         print(traces.report())
-        experiments, _ = prepare(traces, campaign.simulator, rest_radius=parse_pair(args.rest_radius, "--rest-radius"))
+        surroundings = campaign.simulator.conditions.surroundings
+        prepared = prepare(traces, surroundings, rest_radius=parse_pair(args.rest_radius, "--rest-radius"))
+        print(prepared.report())
+        experiments = prepared.experiments
         campaign.tell(*experiments, progress=progress)
     if reason := campaign.reason_to_stop():
         print(f"Enough: {reason}")

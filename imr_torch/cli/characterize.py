@@ -14,14 +14,17 @@ itself, which shows whether they agree. A report says which rows were left out a
 """
 
 import argparse
+import sys
 from pathlib import Path
+from typing import Any
 
-from imr_torch.characterize import Characterization, characterize, predictive_band
+from imr_torch.characterize import EFFORTS, Characterization, characterize, predictive_band
 from imr_torch.cli.common import (
     METHODS,
     add_physics_argument,
     add_prior_arguments,
     file_name,
+    names_of,
     parse_pair,
     prior_of,
     progress_of,
@@ -29,9 +32,9 @@ from imr_torch.cli.common import (
     simulator_of,
     write_result,
 )
-from imr_torch.errors import InputDataError
+from imr_torch.errors import ConvergenceError, ImrError, InputDataError
 from imr_torch.material import Belief
-from imr_torch.observe import Layout, TraceSet, load_traces
+from imr_torch.observe import Layout, TraceSet, load_traces, prepare
 from imr_torch.plot import plot_experiment, plot_parameter, plot_probabilities
 from imr_torch.simulate import Simulator
 
@@ -65,6 +68,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the most probable gel by multistart Gauss-Newton (default), or hybrid ensemble 4D-Var, with the data's own "
         "likelihood or with the tempered one of arXiv 2409.00011; draws are weighed by the posterior after either",
     )
+    parser.add_argument(
+        "--effort",
+        choices=tuple(EFFORTS),
+        default="normal",
+        help="how far draws are weighed where they do not settle the intervals of a model (default normal)",
+    )
     parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
     add_physics_argument(parser)
     add_prior_arguments(parser)
@@ -75,39 +84,67 @@ def run(args: argparse.Namespace) -> None:
     if args.each and args.scores:
         raise InputDataError("--scores predicts curves from others, and --each fits every one alone; leave one of them out.")
     traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
-    if args.experiments:
-        traces = traces.select([name.strip() for name in args.experiments.split(",")])
+    if args.experiments is not None:
+        traces = traces.select(names_of(args.experiments, "--experiments"))
     print(traces.report())
-    if not args.each:
-        write_result(args, _characterize(traces, args, Path(args.out) if args.out else None).to_dict())
+    if args.each:
+        _each(traces, args)
         return
-    results = {}
-    for trace in traces:
-        print(f"\n--- {trace.experiment_id}")
-        folder = Path(args.out) / file_name(trace.experiment_id) if args.out else None
-        results[trace.experiment_id] = _characterize(traces.select([trace.experiment_id]), args, folder).to_dict()
-    write_result(args, {"each": results})
+    result = _characterize(traces, args, Path(args.out) if args.out else None)
+    write_result(args, result.to_dict())
+    if not result.assimilation.converged:
+        raise ConvergenceError("a fit has not converged (see its certificate above), so its numbers are not to be used.")
+
+
+def _each(traces: TraceSet, args: argparse.Namespace) -> None:
+    """Fit every curve by itself; one that cannot be fitted is reported, and the others are kept, also on an interruption."""
+    results: dict[str, Any] = {}
+    wrong: dict[str, ImrError] = {}
+    try:
+        for trace in traces:
+            print(f"\n--- {trace.experiment_id}")
+            folder = Path(args.out) / file_name(trace.experiment_id) if args.out else None
+            try:
+                result = _characterize(traces.select([trace.experiment_id]), args, folder)
+            except ImrError as error:
+                print(f"imr-torch: {error}", file=sys.stderr)
+                wrong[trace.experiment_id], results[trace.experiment_id] = error, {"error": str(error)}
+                continue
+            results[trace.experiment_id] = result.to_dict()
+            if not result.assimilation.converged:
+                wrong[trace.experiment_id] = ConvergenceError("a fit has not converged.")
+    finally:
+        write_result(args, {"each": results})
+    if wrong:
+        kind = InputDataError if any(isinstance(x, InputDataError) for x in wrong.values()) else ConvergenceError
+        raise kind(
+            f"{len(wrong)} of {len(traces)} curves have no result to be used: {', '.join(wrong)}; the others are written."
+        )
 
 
 def _characterize(traces: TraceSet, args: argparse.Namespace, folder: Path | None) -> Characterization:
     """Fit some curves together, print the result, draw its figures."""
     prior, simulator = prior_of(args), simulator_of(args)
+    rest_radius = parse_pair(args.rest_radius, "--rest-radius")
+    prepared = prepare(traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius)
+    print(prepared.report())
     result = characterize(
         traces,
         prior=prior,
         simulator=simulator,
         estimate_noise=args.noise == "estimated",
         collapses=args.collapses,
-        rest_radius=parse_pair(args.rest_radius, "--rest-radius"),
+        rest_radius=rest_radius,
         options=METHODS[args.method],
         scores=args.scores,
+        effort=args.effort,
         seed=args.seed,
         progress=progress_of(args),
     )
     print("\n" + result.report())
     if folder:
         _figures(result, prior, simulator, folder)
-        (folder / "report.txt").write_text(traces.report() + "\n\n" + result.report() + "\n")
+        (folder / "report.txt").write_text("\n\n".join((traces.report(), prepared.report(), result.report())) + "\n")
     return result
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
+import torch
 from matplotlib.axes import Axes
 
 from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
@@ -42,14 +43,13 @@ def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--belief", metavar="FILE", help="a saved belief (the 'belief' of an earlier --json, or Belief.save)")
     group.add_argument(
         "--models",
-        default=DEFAULT_MODELS,
         help=f"candidate models, of {', '.join(MATERIALS)} (default {DEFAULT_MODELS})",
     )
     group.add_argument(
         "--known",
         default="",
         metavar="NAME=VALUE,...",
-        help="independently measured parameters in SI (qkv needs G=...)",
+        help="independently measured parameters in SI, which are not inferred (qkv needs G=...)",
     )
 
 
@@ -108,11 +108,18 @@ def prior_of(args: argparse.Namespace) -> Belief:
     """The prior that the options name: a saved belief, a case, or the wide prior over ``--models``."""
     if args.belief and args.case:
         raise InputDataError("--belief and --case both name a prior; give one of them.")
+    for option in ("models", "known"):
+        if getattr(args, option) and (args.belief or args.case):
+            other = "--belief" if args.belief else "--case"
+            raise InputDataError(
+                f"--{option} has no effect beside {other}, which names models and priors; leave one of them out."
+            )
     if args.belief:
         return Belief.load(args.belief)
     if args.case:
         return reference_case(args.case).prior
-    return wide_prior([key.strip() for key in args.models.split(",")], known=parse_values(args.known, "--known"))
+    models = [key.strip() for key in (args.models or DEFAULT_MODELS).split(",")]
+    return wide_prior(models, known=parse_values(args.known, "--known"))
 
 
 def parse_values(text: str, option: str) -> dict[str, float]:
@@ -120,11 +127,24 @@ def parse_values(text: str, option: str) -> dict[str, float]:
     values = {}
     for item in filter(None, (part.strip() for part in text.split(","))):
         name, _, number = item.partition("=")
+        name = PARAMETERS[name.strip()].name
         try:
-            values[PARAMETERS[name.strip()].name] = float(number)
+            value = float(number)
         except ValueError:
             raise InputDataError(f"{option}: {item!r} is not NAME=NUMBER, for example G=2770 (SI units).") from None
+        if name in values:
+            raise InputDataError(f"{option}: {name} is given twice, {values[name]:g} and {value:g}; give it once.")
+        PARAMETERS.check(name, torch.tensor(value, dtype=torch.float64))
+        values[name] = value
     return values
+
+
+def names_of(text: str, option: str) -> list[str]:
+    """``"a,b"`` as names; there must be one, and none twice."""
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names or len(set(names)) < len(names):
+        raise InputDataError(f"{option} is {text!r}; name at least one, each once, separated by commas.")
+    return names
 
 
 def parse_pair(text: str | None, option: str) -> tuple[float, float] | None:

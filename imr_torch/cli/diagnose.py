@@ -14,20 +14,20 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from imr_torch.characterize import prepare
 from imr_torch.cli.common import (
     add_physics_argument,
     add_workers_argument,
+    names_of,
     parse_pair,
     parse_values,
     progress_of,
     simulator_of,
     write_result,
 )
-from imr_torch.errors import InputDataError
+from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import Effect, describe, diagnose, examine, library, load_set, noise_of_traces, to_json, write_page
 from imr_torch.material import MATERIALS, wide_prior
-from imr_torch.observe import Experiment, Layout, Noise, load_traces
+from imr_torch.observe import Experiment, Layout, Noise, load_traces, prepare
 from imr_torch.simulate import Simulator
 
 _CHUNK = 360  # half of what 25 effects and three experiments take
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--layout", metavar="TEXT", help="how to read files of curves, as for characterize (radius=R,radius_unit=um,time=t,...)"
     )
     parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for curves without a tail")
-    parser.add_argument("--collapses", type=int, default=2, help="collapses in the window of a curve (default 2)")
+    parser.add_argument("--collapses", type=int, help="collapses in the window of a curve (default 2)")
     parser.add_argument("--noise", choices=("estimated", "published"), help="default: published for sets, estimated for curves")
     parser.add_argument("--html", metavar="FILE", help="write the report with its figures as one HTML file")
     add_physics_argument(parser)
@@ -67,9 +67,9 @@ def run(args: argparse.Namespace) -> None:
     simulator, effects = simulator_of(args, chunk=_CHUNK), _effects(args)
     base = wide_prior((args.base,), known=parse_values(args.known, "--known")).models[0]
     experiments = _experiments(args, simulator)
-    if args.experiments:
+    if args.experiments is not None:
         experiments = _named(experiments, args.experiments, "--experiments")
-    held_out = _named(experiments, args.heldout, "--heldout") if args.heldout else []
+    held_out = [] if args.heldout is None else _named(experiments, args.heldout, "--heldout")
     fitted = [e for e in experiments if e not in held_out]
     if not fitted:
         raise InputDataError(f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer.")
@@ -81,14 +81,18 @@ def run(args: argparse.Namespace) -> None:
     write_result(args, to_json(report, parts) | {"seconds": time.perf_counter() - started})
     if args.html:
         print(f"wrote {write_page(report, args.html, parts)}")
+    if not report.converged:
+        raise ConvergenceError("a fit that the verdict rests on has not converged (see above).")
 
 
 def _effects(args: argparse.Namespace) -> tuple[Effect, ...]:
     """The library less what was left out; an effect that was asked for by name must fit the base model."""
     if args.base not in MATERIALS:
         raise InputDataError(f"--base: unknown model {args.base!r}; known are {', '.join(MATERIALS)}.")
-    chosen = library(_split(args.effects) or None, without=_split(args.without), base=args.base)
-    lost = [name for name in _split(args.effects) if name not in {effect.name for effect in chosen}]
+    asked = None if args.effects is None else names_of(args.effects, "--effects")
+    without = [] if args.without is None else names_of(args.without, "--without")
+    chosen = library(asked, without=without, base=args.base)
+    lost = [name for name in asked or [] if name not in {effect.name for effect in chosen}]
     if lost:
         raise InputDataError(
             f"--effects: {lost[0]!r} cannot be put on the base model {args.base!r}, which has it or lacks what it acts on."
@@ -98,10 +102,6 @@ def _effects(args: argparse.Namespace) -> tuple[Effect, ...]:
     return chosen
 
 
-def _split(text: str | None) -> list[str]:
-    return [name.strip() for name in (text or "").split(",") if name.strip()]
-
-
 def _experiments(args: argparse.Namespace, simulator: Simulator) -> list[Experiment]:
     """Sets or curves as experiments; what was read and left out is printed."""
     sets = [name for name in args.files if _is_set(name)]
@@ -109,9 +109,21 @@ def _experiments(args: argparse.Namespace, simulator: Simulator) -> list[Experim
         traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
         print(traces.report() + "\n")
         rest = parse_pair(args.rest_radius, "--rest-radius")
-        return list(prepare(traces, simulator, collapses=args.collapses, rest_radius=rest)[0])
+        prepared = prepare(
+            traces,
+            simulator.conditions.surroundings,
+            collapses=2 if args.collapses is None else args.collapses,
+            rest_radius=rest,
+        )
+        print(prepared.report() + "\n")
+        return list(prepared.experiments)
     if len(sets) < len(args.files):
         raise InputDataError("Sets (.npz) and files of curves cannot be mixed: their noise is known differently.")
+    for option in ("layout", "rest_radius", "collapses"):
+        if getattr(args, option) is not None:
+            raise InputDataError(
+                f"--{option.replace('_', '-')} is about files of curves, and has no effect on sets; leave it out."
+            )
     surroundings = simulator.conditions.surroundings
     loaded = {name: load_set(name, surroundings=surroundings) for name in sets}
     if len(loaded) == 1:
@@ -129,11 +141,11 @@ def _is_set(name: str) -> bool:
 
 def _named(experiments: Sequence[Experiment], text: str, option: str) -> list[Experiment]:
     """The experiments of given labels."""
-    labels = [e.label for e in experiments]
-    for name in _split(text):
+    labels, chosen = [e.label for e in experiments], names_of(text, option)
+    for name in chosen:
         if name not in labels:
             raise InputDataError(f"{option}: no experiment {name!r} among the {len(labels)} loaded: {', '.join(labels)}.")
-    return [e for e in experiments if e.label in _split(text)]
+    return [e for e in experiments if e.label in chosen]
 
 
 def _noise(args: argparse.Namespace, experiments: Sequence[Experiment]) -> Noise:

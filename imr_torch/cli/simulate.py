@@ -22,6 +22,7 @@ SIMULATORS: dict[tuple[str, str], AnySimulator] = {
     **{("transport", name): TransportSimulator(accuracy=accuracy) for name, accuracy in ACCURACIES.items()},
 }
 NAME = "simulate"
+_MOST_FRAMES, _LATEST = 1_000_000, 1000.0
 SUMMARY = "R(t) of one bubble in a gel"
 
 
@@ -43,8 +44,10 @@ def run(args: argparse.Namespace) -> None:
     kind, values = material(args.model), parse_values(args.set, "--set")
     if set(values) != set(kind.names):
         raise InputDataError(f"--set: model {kind.key!r} has the parameters {', '.join(kind.names)}; got {', '.join(values)}.")
-    if args.frames < 2 or not args.until > 0:
-        raise InputDataError(f"--frames is {args.frames} and --until {args.until}; expected at least 2 and above 0.")
+    if not 2 <= args.frames <= _MOST_FRAMES:
+        raise InputDataError(f"--frames is {args.frames}; expected 2 to {_MOST_FRAMES}.")
+    if not 0.0 < args.until < _LATEST:
+        raise InputDataError(f"--until is {args.until}; expected a time in Rmax/U_c above 0 and below {_LATEST:g}.")
     simulator = with_engine(SIMULATORS[args.physics, args.accuracy], args)
     surroundings = simulator.conditions.surroundings
     times = torch.linspace(0.0, args.until, args.frames, dtype=torch.float64)

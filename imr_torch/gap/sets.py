@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe import Experiment, Nuisance
+from imr_torch.observe import Experiment, Nuisance, check_experiment
 from imr_torch.observe.npz import read_arrays
 from imr_torch.units import Surroundings
 
@@ -68,6 +68,7 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
         radius = radius[kept]
         experiments.append(Experiment(f"design {i}", (float(weber), float(rest)), times[seen], radius[:, seen], nuisance))
         _check_units(f"{path}: design {i}", experiments[-1], size, outer.time_scale(size))
+        check_experiment(experiments[-1], f"{path}: design {i}", remedy="the Weber numbers, and that time zero is the maximum")
     return experiments
 
 

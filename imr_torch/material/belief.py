@@ -39,6 +39,15 @@ class Cloud:
     controls: Tensor
     precisions: Tensor
 
+    def __post_init__(self) -> None:
+        if self.controls.ndim != 2 or self.precisions.shape != (*self.controls.shape, self.controls.shape[-1]):
+            raise InputDataError(
+                f"Cloud: controls have shape {tuple(self.controls.shape)} and precisions {tuple(self.precisions.shape)}; "
+                "expected n x d and n x d x d."
+            )
+        if not len(self.controls) or not bool(torch.isfinite(self.controls).all() and torch.isfinite(self.precisions).all()):
+            raise InputDataError("Cloud: controls and precisions must be finite, of at least one draw; infer the belief again.")
+
 
 @dataclass(frozen=True)
 class ModelBelief:
@@ -49,7 +58,7 @@ class ModelBelief:
         marginals: one map per free parameter, in the order of ``names``.
         mean: ``d`` tensor, controls (dimensionless).
         chol: ``d x d`` lower triangular tensor, Cholesky factor of the control covariance.
-        known: values of the model's independently measured parameters, SI.
+        known: values of the model's independently measured parameters, SI, and of free ones that are held fixed.
         cloud: posterior draws, where the Gaussian has the moments of the belief but not its shape; from the Gaussian alone,
             experimental design would expect information that is known already.
 
@@ -70,15 +79,18 @@ class ModelBelief:
 
     def __post_init__(self) -> None:
         kind = material(self.model)
-        if set(self.known) != set(kind.known):
+        if not set(kind.known) <= set(self.known) <= set(kind.names):
             raise InputDataError(
-                f"Model {self.model!r} needs known {list(kind.known) or 'nothing'}, got {list(self.known) or 'nothing'}."
+                f"Model {self.model!r} needs known {list(kind.known) or 'nothing'} and may have others of {list(kind.names)}; "
+                f"got {list(self.known) or 'nothing'}."
             )
         for name, value in self.known.items():
             PARAMETERS.check(name, torch.tensor(value))
-        d = len(kind.free)
+        d = len(self.names)
+        if d == 0:
+            raise InputDataError(f"Model {self.model!r}: {list(self.known)} are known, and nothing is left to infer.")
         if len(self.marginals) != d:
-            raise InputDataError(f"Model {self.model!r} has free parameters {kind.free}; got {len(self.marginals)} marginals.")
+            raise InputDataError(f"Model {self.model!r} has free parameters {self.names}; got {len(self.marginals)} marginals.")
         if self.mean.shape != (d,) or self.chol.shape != (d, d):
             raise InputDataError(
                 f"Model {self.model!r}: expected mean of shape ({d},) and chol of ({d}, {d}), "
@@ -98,7 +110,7 @@ class ModelBelief:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Free parameters."""
-        return self.material.free
+        return tuple(name for name in self.material.free if name not in self.known)
 
     def controls(self, count: int, *, seed: SeedLike) -> Tensor:
         """``count x d`` independent draws of the controls."""
@@ -192,7 +204,7 @@ class ModelBelief:
 
 def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
     """One model's part of a saved belief."""
-    if tuple(entry["names"]) != material(entry["model"]).free:
+    if tuple(entry["names"]) != tuple(name for name in material(entry["model"]).free if name not in entry["known"]):
         raise InputDataError(f"Saved parameters {entry['names']} are not those of {entry['model']!r}.")
     mean = torch.tensor(entry["mean"], dtype=torch.float64)
     chol = torch.tensor(entry["chol"], dtype=torch.float64).reshape(len(mean), len(mean))
@@ -202,7 +214,9 @@ def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
     if cloud is None:
         return part
     controls, precisions = (torch.tensor(cloud[name], dtype=torch.float64) for name in ("controls", "precisions"))
-    return part.with_cloud(controls.reshape(-1, len(mean)), precisions.reshape(-1, len(mean), len(mean)))
+    if controls.ndim == 2 and controls.shape[1] != len(mean):
+        raise InputDataError(f"Saved cloud of {entry['model']!r} has {controls.shape[1]} parameters; expected {len(mean)}.")
+    return part.with_cloud(controls, precisions)
 
 
 def _part_to_dict(part: ModelBelief) -> dict[str, Any]:
@@ -280,7 +294,7 @@ class Belief:
         Args:
             models: model key -> parameter name -> marginal, one for each free parameter of the model.
             probabilities: model key -> prior probability; equal when not given.
-            known: values of parameters that a model takes as measured, SI.
+            known: values of parameters that are measured independently, SI; those without a marginal are not inferred.
 
         Raises:
             InputDataError: for an unknown model or parameter, a missing marginal, or probabilities that do not fit.
@@ -288,14 +302,15 @@ class Belief:
         parts = []
         for key, marginals in models.items():
             kind = material(key)
-            if set(marginals) != set(kind.free):
-                raise InputDataError(f"Model {key!r} needs a prior of each of {kind.free}; got {tuple(marginals)}.")
+            free = tuple(name for name in kind.free if name in marginals or name not in (known or {}))
+            if set(marginals) != set(free):
+                raise InputDataError(f"Model {key!r} needs a prior of each of {free}; got {tuple(marginals)}.")
             missing = [name for name in kind.known if name not in (known or {})]
             if missing:
                 raise InputDataError(f"Model {key!r} takes {missing} as known; give its value in SI units in `known`.")
-            d = len(kind.free)
-            fixed = {name: float((known or {})[name]) for name in kind.known}
-            ordered = tuple(marginals[name] for name in kind.free)
+            d = len(free)
+            fixed = {name: float(value) for name, value in (known or {}).items() if name in kind.names and name not in free}
+            ordered = tuple(marginals[name] for name in free)
             parts.append(
                 ModelBelief(key, ordered, torch.zeros(d, dtype=torch.float64), torch.eye(d, dtype=torch.float64), fixed)
             )
@@ -392,5 +407,5 @@ class Belief:
             document = json.loads(Path(path).read_text(encoding="utf-8"))
             document = document.get("belief", document) if isinstance(document, dict) else document
             return cls.from_dict(document)
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError, InputDataError) as error:
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError, InputDataError) as error:
             raise InputDataError(f"{path}: not a saved belief ({error}).") from None

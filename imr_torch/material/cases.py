@@ -98,10 +98,11 @@ def wide_prior(models: Sequence[str] = ("newtonian", "nhkv", "gen_qkv"), *, know
 
     Args:
         models: candidate models, equally probable. Priors are those that their parameters were registered with.
-        known: values of parameters that a model takes as measured (qKV: the quasi-static G), SI.
+        known: values of parameters that are measured independently, SI. They are not inferred in any model, except that what
+            one model of several takes as measured (qKV: the quasi-static G) is known in that one alone.
 
     Raises:
-        InputDataError: for an unknown model, or a parameter without a default prior.
+        InputDataError: for an unknown model, one named twice, a parameter without a default prior, a known one of no model.
 
     >>> from imr_torch import wide_prior
     >>> belief = wide_prior(["nhkv", "gen_qkv"])
@@ -110,7 +111,19 @@ def wide_prior(models: Sequence[str] = ("newtonian", "nhkv", "gen_qkv"), *, know
     >>> belief["gen_qkv"].names
     ('G', 'mu', 'alpha')
     """
-    return Belief.prior({key: {name: _default(key, name) for name in material(key).free} for key in models}, known=known)
+    fixed = known or {}
+    of_models = {name for key in models for name in material(key).names}
+    for name in fixed:
+        if name not in of_models:
+            raise InputDataError(
+                f"known: {name!r} is a parameter of none of {', '.join(models)}; these have {sorted(of_models)}."
+            )
+    repeated = [key for key in dict.fromkeys(models) if list(models).count(key) > 1]
+    if repeated or not models:
+        raise InputDataError(f"models is {list(models)}; name at least one model, each once.")
+    held = set(fixed) - {name for key in models for name in material(key).known}
+    priors = {key: {name: _default(key, name) for name in material(key).free if name not in held} for key in models}
+    return Belief.prior(priors, known=fixed)
 
 
 def _default(model: str, name: str) -> Marginal:

@@ -9,6 +9,8 @@ from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
 from imr_torch.observe.load import SUFFIXES, find_files, load_traces
 from imr_torch.observe.noise import Noise, fit_noise
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
+from imr_torch.observe.plausibility import check_experiment, check_maximum
+from imr_torch.observe.prepare import Prepared, prepare
 from imr_torch.observe.readers import READERS, Reader, register_reader
 from imr_torch.observe.traces import Given, LeftOut, RadiusTrace, TraceSet
 from imr_torch.observe.window import collapse_time
@@ -26,10 +28,13 @@ __all__ = [
     "LeftOut",
     "Noise",
     "Nuisance",
+    "Prepared",
     "RadiusTrace",
     "Reader",
     "SimulatedLaboratory",
     "TraceSet",
+    "check_experiment",
+    "check_maximum",
     "collapse_time",
     "displaced",
     "find_files",
@@ -37,6 +42,7 @@ __all__ = [
     "fit_noise",
     "load_traces",
     "predict",
+    "prepare",
     "register_reader",
     "to_experiment",
 ]

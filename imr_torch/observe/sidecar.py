@@ -125,7 +125,7 @@ class Sidecar:
         own = entry if entry or self.entries or not alone else self.top
         settled = own.get("Rinf_settled", True if own.get("Rinf_sd_m") is not None else None)
         if settled is not None and not isinstance(settled, bool):
-            raise self._unusable(f"Rinf_settled of experiment '{name}' is {settled!r}; expected true, false or null")
+            raise self._unusable(f"experiment '{name}': Rinf_settled is {settled!r}; expected true or false")
         medium = entry.get("medium") or self.top.get("medium") or self.top.get("material")
         try:
             return Given(**values, rest_settled=settled, medium=None if medium is None else str(medium))

@@ -1,16 +1,20 @@
 """Stage 5, model selection: evidence with its Monte Carlo error, probabilities, and predictive scores beside them."""
 
 from imr_torch.select.evidence import Evidence, evidences, log_evidence
+from imr_torch.select.identifiability import Bound, Identifiability, identifiability
 from imr_torch.select.predictive import PredictiveScore, cross_validate, default_folds, predictive_density, sum_over_folds
 from imr_torch.select.probabilities import probability_errors, update
 from imr_torch.select.published import published_probabilities
 
 __all__ = [
+    "Bound",
     "Evidence",
+    "Identifiability",
     "PredictiveScore",
     "cross_validate",
     "default_folds",
     "evidences",
+    "identifiability",
     "log_evidence",
     "predictive_density",
     "probability_errors",

@@ -363,7 +363,12 @@ EYE = torch.eye(2, dtype=torch.float64)
         ),
         (lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), -EYE), r"diagonal of chol positive"),
         (lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), tensor([1.0, 0.9], [0.0, 1.0])), r"lower triangular"),
-        (lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), EYE, {"G": 1.0}), r"needs known .*nothing, got \['G'\]"),
+        (lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), EYE, {"G": 1.0}), r"free parameters \('mu',\); got 2 marginals"),
+        (
+            lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), EYE, {"alpha": 1.0}),
+            r"needs known nothing and may have .*'alpha'",
+        ),
+        (lambda: ModelBelief("nhkv", (), tensor(), EYE[:0, :0], {"G": 1.0, "mu": 0.1}), r"nothing is left to infer"),
         (lambda: Belief.from_dict({}), r"Expected a document of the format 'imr_torch belief 1', got None"),
         (lambda: Belief.from_dict(document(format="other")), r"got 'other'"),
         (

@@ -1,0 +1,119 @@
+"""From curves in SI units to the dimensionless, windowed experiments that are fitted, with what was found on the way."""
+
+import math
+from dataclasses import dataclass
+
+from imr_torch.errors import InputDataError
+from imr_torch.observe.convert import to_experiment
+from imr_torch.observe.experiments import Experiment
+from imr_torch.observe.landmarks import Landmarks, find_landmarks
+from imr_torch.observe.plausibility import RAYLEIGH_TIME, check_experiment, check_maximum
+from imr_torch.observe.traces import RadiusTrace, TraceSet
+from imr_torch.observe.window import collapse_time
+from imr_torch.units import Surroundings
+
+_MIN_FRAMES = 5
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Curves as they will be fitted.
+
+    Args:
+        experiments: dimensionless, from the maximum radius to the end of the window, one a curve.
+        landmarks: landmarks of each curve, by experiment id.
+        frames: of each curve: how many it has, how many of these before its maximum, and how many after the window.
+        first_collapses: their dimensionless times; infinite where a record holds none.
+        assumed: whether the rest radius is the caller's, not the record's.
+        cautions: what is unusual about them, a sentence each.
+
+    >>> import torch
+    >>> from imr_torch.observe import RadiusTrace, TraceSet, prepare
+    >>> time = torch.linspace(-2e-6, 60e-6, 63, dtype=torch.float64)
+    >>> trace = RadiusTrace("shot 1", time, 200e-6 * (0.55 + 0.45 * torch.cos(1.6e5 * time)), "gel.csv")
+    >>> print(prepare(TraceSet((trace,)), rest_radius=(0.2, 0.02), collapses=1).report()[:131])
+    Curves as they are fitted (an empty cavity collapses at t* = 0.915):
+      shot 1: Rmax 199.9 um (peak fit), R_inf/Rmax 0.200 (assumed)
+    """
+
+    experiments: tuple[Experiment, ...]
+    landmarks: dict[str, Landmarks]
+    frames: dict[str, tuple[int, int, int]]
+    first_collapses: dict[str, float]
+    assumed: bool
+    cautions: tuple[str, ...]
+
+    def report(self) -> str:
+        """A line a curve: Rmax, R_inf*, We, how each was found, and which frames will be fitted; then the cautions."""
+        lines = []
+        for experiment in self.experiments:
+            name, (weber, rest) = experiment.label, experiment.design
+            marks, (count, before, after) = self.landmarks[name], self.frames[name]
+            found, first = "assumed" if self.assumed else marks.rest_method, self.first_collapses[name]
+            collapse = "no collapse in the record" if math.isinf(first) else f"first collapse at t* = {first:.2f}"
+            lines.append(
+                f"  {name}: Rmax {1e6 * marks.max_radius_m:.4g} um ({marks.max_method}), R_inf/Rmax {rest:.3f} ({found}), "
+                f"We {weber:.0f}, {collapse}; {len(experiment.times)} of {count} frames are fitted "
+                f"({before} before the maximum, {after} after the window)"
+            )
+        lines.insert(0, f"Curves as they are fitted (an empty cavity collapses at t* = {RAYLEIGH_TIME}):")
+        return "\n".join([*lines, *(f"  Caution: {text}" for text in self.cautions)])
+
+
+def prepare(
+    traces: TraceSet,
+    surroundings: Surroundings | None = None,
+    *,
+    collapses: int = 2,
+    rest_radius: tuple[float, float] | None = None,
+) -> Prepared:
+    """Dimensionless experiments of a set of traces, cut after ``collapses`` collapses.
+
+    Args:
+        traces: the curves.
+        surroundings: the liquid side, for the scales; water at 1 atm by default.
+        collapses: collapses that the window holds.
+        rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
+
+    Raises:
+        InputDataError: for a curve that no bubble has (:mod:`imr_torch.observe.plausibility`), a record without R_inf, or with
+            too few frames in the window.
+
+    >>> import torch
+    >>> from imr_torch.observe import RadiusTrace, TraceSet, prepare
+    >>> time = torch.linspace(-2e-6, 60e-6, 63, dtype=torch.float64)
+    >>> trace = RadiusTrace("shot 1", time, 200e-6 * (0.55 + 0.45 * torch.cos(1.6e5 * time)), "gel.csv")
+    >>> prepared = prepare(TraceSet((trace,)), rest_radius=(0.2, 0.02), collapses=1)
+    >>> prepared.frames["shot 1"], round(prepared.first_collapses["shot 1"], 2)
+    ((63, 2, 40), 0.98)
+    """
+    if collapses < 1:
+        raise InputDataError(f"collapses is {collapses}; the fitted window needs at least 1.")
+    if rest_radius is not None and not (0.0 < rest_radius[0] < 1.0 and 0.0 <= rest_radius[1] < math.inf):
+        raise InputDataError(
+            f"rest_radius is {rest_radius[0]:g}:{rest_radius[1]:g}; expected R_inf/Rmax between 0 and 1 and a standard "
+            "deviation >= 0, for example 0.2:0.1."
+        )
+    experiments, landmarks, frames, firsts, cautions = [], {}, {}, {}, []
+    for trace in traces:
+        where, name = _where(trace), trace.experiment_id
+        marks = find_landmarks(trace)
+        outer = surroundings or Surroundings()
+        cautions += check_maximum(trace, marks, outer)
+        whole = to_experiment(trace, marks, outer, rest_radius=rest_radius)
+        cautions += check_experiment(whole, where)
+        window = whole.until(collapse_time(whole.times, whole.radius[0], collapses))
+        if len(window.times) < _MIN_FRAMES:
+            raise InputDataError(
+                f"{where} has {len(window.times)} frames between its maximum and collapse {collapses}; at least {_MIN_FRAMES} "
+                "are needed. Raise the number of collapses, or leave it out."
+            )
+        experiments.append(window)
+        landmarks[name] = marks
+        frames[name] = len(trace), len(trace) - len(whole.times), len(whole.times) - len(window.times)
+        firsts[name] = collapse_time(whole.times, whole.radius[0], 1)
+    return Prepared(tuple(experiments), landmarks, frames, firsts, rest_radius is not None, tuple(cautions))
+
+
+def _where(trace: RadiusTrace) -> str:
+    return f"{trace.source}: experiment '{trace.experiment_id}'"

@@ -1,0 +1,139 @@
+"""Curves that no bubble has are refused, unusual ones are named, and real ones pass."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from imr_torch.errors import ImrError, InputDataError
+from imr_torch.gap import load_set
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import Experiment, Given, RadiusTrace, TraceSet, check_experiment, load_traces, prepare
+from imr_torch.simulate import PolytropicSimulator
+from imr_torch.units import Surroundings
+
+SIZE, REST = 300e-6, (0.2, 0.01)
+OUTER = Surroundings()
+SCALE = OUTER.time_scale(SIZE)
+EXAMPLE = Path(__file__).resolve().parents[2] / "tutorials" / "data" / "example_gel.csv"
+
+
+def curve(**gel: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Times in s and radii in m of a bubble in a soft gel."""
+    times = torch.linspace(0.0, 3.0, 151, dtype=torch.float64)
+    design = torch.tensor([OUTER.weber(SIZE), REST[0]], dtype=torch.float64)
+    bubble = PolytropicSimulator()(PARAMETERS.pack({"G": 5e3, "mu": 0.1} | gel), design, times)
+    return times * SCALE, bubble.radius * SIZE
+
+
+def prepared(change: Callable, given: Given | None = None, rest: tuple[float, float] = REST):
+    """What becomes of the curve, changed."""
+    return prepare(TraceSet((RadiusTrace("shot", *change(*curve()), "gel.csv", given or Given()),)), rest_radius=rest)
+
+
+def spiked(t, r):
+    r = r.clone()
+    r[100] = 2.5 * SIZE
+    return t, r
+
+
+REFUSED = {
+    "a hundredth of the size": (lambda t, r: (t, 0.01 * r), None, REST, r"the first collapse is at t\* = 92"),
+    "centimetres as metres": (lambda t, r: (t, 100.0 * r), None, REST, r"the first collapse is at t\* = 0.0092"),
+    "milliseconds as seconds": (lambda t, r: (1e3 * t, r), None, REST, r"the first collapse is at t\* = 9\d\d"),
+    "microseconds as tenths": (lambda t, r: (0.1 * t, r), None, REST, r"the first collapse is at t\* = 0.09"),
+    "stated in micrometres": (lambda t, r: (t, r), Given(max_radius_m=300.0), REST, r"stated maximum radius is 3e\+08 um"),
+    "stated twice too small": (lambda t, r: (t, r), Given(max_radius_m=SIZE / 2), REST, r"stated maximum radius is 150 um"),
+    "one frame far above the others": (
+        spiked,
+        None,
+        REST,
+        r"frame 100 \(counted from 0.*largest radius, 750 um.*set the frame to NaN",
+    ),
+    "a rest radius of nearly nothing": (
+        lambda t, r: (t, r),
+        None,
+        (0.0002, 0.0001),
+        r"R_inf/Rmax is 0.0002; possible is 0.02 to",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_that_a_curve_in_other_units_than_was_said_is_refused(kind: str) -> None:
+    change, given, rest, message = REFUSED[kind]
+    with pytest.raises(InputDataError, match=message):
+        prepared(change, given, rest)
+
+
+def test_that_a_good_curve_passes_without_a_word_and_its_report_says_what_was_found() -> None:
+    good = prepared(lambda t, r: (t, r))
+    assert good.cautions == ()
+    assert 0.8 < good.first_collapses["shot"] < 1.0
+    text = good.report()
+    for part in ("Rmax 300 um", "R_inf/Rmax 0.200 (assumed)", "first collapse at t* =", "of 151 frames are fitted"):
+        assert part in text
+    total, before, after = good.frames["shot"]
+    assert (total, before) == (151, 0)
+    assert len(good.experiments[0].times) == total - before - after
+
+
+def test_that_diameters_are_named_since_a_stiff_gel_looks_alike() -> None:
+    (caution,) = prepared(lambda t, r: (t, 2.0 * r)).cautions
+    assert "the first collapse is at t* = 0.4" in caution
+    assert "that of an empty cavity in water at 0.915, in stiff gels from 0.4 on" in caution
+    assert prepare(TraceSet((RadiusTrace("stiff", *curve(G=1e5), "gel.csv"),)), rest_radius=REST).cautions
+
+
+def test_that_time_zero_is_the_maximum_and_rmax_its_radius() -> None:
+    times, radius = curve()
+    late = times / SCALE + 0.9
+    shifted = torch.cat((radius.flip(0)[-46:-1], radius)) / SIZE  # the fall to the maximum from the other side
+    ramp = torch.cat((late[:45] - 0.9, late))
+    with pytest.raises(InputDataError, match=r"the largest frame is at t\* = 0\.90; expected time zero at the maximum"):
+        check_experiment(Experiment("shot", (300.0, 0.2), ramp, shifted[None]), "set")
+    with pytest.raises(InputDataError, match=r"the largest frame has R/Rmax = 0\.1; possible is 0\.7 to 1\.1"):
+        check_experiment(Experiment("shot", (300.0, 0.2), times / SCALE, 0.1 * radius[None] / SIZE), "set")
+
+
+@pytest.mark.parametrize(("radius", "time", "message"), [(0.1, 1.0, "largest frame"), (1.0, 10.0, "first collapse")])
+def test_that_a_set_in_other_units_is_refused(radius: float, time: float, message: str, tmp_path: Path) -> None:
+    t, r = (x.numpy() for x in curve())
+    design = {"we": np.array([OUTER.weber(SIZE)]), "rinf_star": np.array([REST[0]])}
+    np.savez(tmp_path / "good.npz", time_s=t[None], radius_m=r[None, None], **design)
+    assert len(load_set(tmp_path / "good.npz")) == 1
+    np.savez(tmp_path / "bad.npz", time_s=time * t[None], radius_m=radius * r[None, None], **design)
+    with pytest.raises(InputDataError, match=message):
+        load_set(tmp_path / "bad.npz")
+
+
+def test_that_measured_curves_pass(shared: Path) -> None:
+    counts = {}
+    for file in [EXAMPLE, *sorted((shared / "data").glob("*.csv"))]:
+        if file.stem.startswith("pimr"):
+            continue  # collapse times, no curves
+        for trace in load_traces(file):
+            try:
+                found = prepare(TraceSet((trace,)))
+            except ImrError as error:
+                assert "no rebound and no given R_inf" in str(error), error  # noqa: PT017
+                try:
+                    found = prepare(TraceSet((trace,)), rest_radius=(0.2, 0.08))
+                except ImrError as short:
+                    assert "at least 5 are needed" in str(short), short  # noqa: PT017
+                    continue
+            counts[file.stem] = counts.get(file.stem, 0) + len(found.cautions)
+    assert len(counts) >= 20
+    assert {name for name, count in counts.items() if count > 1} <= {"agarose_5pct", "pegda_s4", "pegda_s5"}  # stiff gels
+
+
+def test_that_what_the_laboratory_says_of_a_tail_is_true_or_false(tmp_path: Path) -> None:
+    rows = "".join(f"a,{t},{r}\n" for t, r in zip(*(x.tolist() for x in curve()), strict=True))
+    (tmp_path / "gel.csv").write_text("experiment_id,time_s,radius_m\n" + rows)
+    entry = {"experiment_id": "a", "Rinf_m": 60e-6, "Rinf_settled": "false"}
+    (tmp_path / "gel.json").write_text(json.dumps({"experiments": [entry]}))
+    with pytest.raises(InputDataError, match="Rinf_settled is 'false'; expected true or false"):
+        load_traces(tmp_path / "gel.csv")

@@ -1,0 +1,204 @@
+"""Options that would have no effect are refused, targets are checked before any work, and what was finished is kept."""
+
+import json
+import os
+import re
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from imr_torch import characterize, wide_prior
+from imr_torch.cli import main
+from imr_torch.errors import InputDataError
+from imr_torch.files import check_target, write_json
+from imr_torch.material import Belief, ModelBelief
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "tutorials" / "data" / "example_gel.csv"
+QUICK = ["--physics", "polytropic", "--quiet"]
+FIT = ["characterize", str(EXAMPLE), "--models", "nhkv", "--noise", "published", *QUICK]
+
+
+@pytest.fixture(autouse=True)
+def keep_threads():
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["design", "--case", "soft-pa", "--models", "nhkv"], "--models has no effect beside --case"),
+        (["design", "--belief", "x.json", "--known", "G=1"], "--known has no effect beside --belief"),
+        (["design", "--models", "nhkv,nhkv"], "name at least one model, each once"),
+        (["design", "--models", "nhkv", "--known", "tau=1e-6"], "'tau' is a parameter of none of nhkv"),
+        (["design", "--models", "nhkv", "--known", "G=-1"], r"Parameter 'G' is -1 Pa; expected a value in"),
+        (["design", "--models", "nhkv", "--known", "G=nan"], r"Parameter 'G' is nan Pa; expected a value in"),
+        (["design", "--models", "nhkv", "--known", "G=1e3,mu=0.1"], "nothing is left to infer"),
+        (["simulate", "--set", "G=1,G=8310,mu=0.1"], "--set: G is given twice, 1 and 8310; give it once"),
+        (["simulate", "--set", "G=1,mu=0.1", "--threads", "0"], "--threads is 0; expected at least 1"),
+        (["simulate", "--set", "G=1,mu=0.1", "--frames", "10000000000"], "--frames is 10000000000; expected 2 to 1000000"),
+        (["simulate", "--set", "G=1,mu=0.1", "--until", "inf"], "--until is inf; expected a time"),
+        ([*FIT, "--experiments", ""], "--experiments is ''; name at least one"),
+        ([*FIT, "--experiments", "shot_1,shot_1"], "each once, separated by commas"),
+        ([*FIT, "--collapses", "0"], "collapses is 0; the fitted window needs at least 1"),
+        ([*FIT, "--rest-radius", "0.2:-1"], "rest_radius is 0.2:-1; expected"),
+        (["diagnose", "{set}", "--collapses", "3"], "--collapses is about files of curves, and has no effect on sets"),
+        (["diagnose", "{set}", "--rest-radius", "0.2:0.1"], "--rest-radius is about files of curves"),
+        (["diagnose", "{set}", "--layout", "radius=R"], "--layout is about files of curves"),
+        (["diagnose", "{set}", "--effects", ","], "--effects is ','; name at least one"),
+        ([*FIT, "--json", "{folder}"], "--json is .* which is a folder; give another name"),
+        ([*FIT, "--out", "{set}"], "--out is .* which is a file; give another name"),
+        ([*FIT, "--json", "{set}/fit.json"], "set.npz' is no folder"),
+        ([*FIT, "--json", "{folder}/" + 300 * "x"], "--json has a name of 300 bytes; give one of 200 at most"),
+        (["diagnose", "{set}", "--html", "{folder}"], "--html is .* which is a folder"),
+    ],
+)
+def test_that_what_would_be_ignored_or_lost_is_refused_before_any_work(arguments, message, tmp_path, capsys):
+    np.savez(tmp_path / "set.npz", time_s=np.zeros((1, 2)), radius_m=np.zeros((1, 1, 2)), we=[300.0], rinf_star=[0.2])
+    names = {"set": tmp_path / "set.npz", "folder": tmp_path}
+    assert main([a.format(**names) for a in arguments]) == 2
+    said = capsys.readouterr().err
+    assert re.search(message, said), said
+    assert said.count("\n") == 1
+
+
+def test_that_a_known_parameter_is_not_inferred() -> None:
+    part = wide_prior(["nhkv"], known={"mu": 0.1})["nhkv"]
+    assert part.names == ("G",)
+    assert part.known == {"mu": 0.1}
+    assert Belief.from_dict(Belief((part,), torch.zeros(1, dtype=torch.float64)).to_dict())["nhkv"].names == ("G",)
+    both = wide_prior(["nhkv", "qkv"], known={"G": 2770.0})  # of qKV alone, which takes it as measured
+    assert both["nhkv"].names == ("G", "mu")
+    assert both["qkv"].known == {"G": 2770.0}
+
+
+def test_that_a_fit_keeps_what_is_known(tmp_path) -> None:
+    document = tmp_path / "fit.json"
+    assert main([*FIT, "--known", "mu=0.1", "--json", str(document)]) == 0
+    (model,) = json.loads(document.read_text())["models"].values()
+    assert list(model["intervals"]) == ["G"]
+
+
+def test_that_a_saved_cloud_that_is_not_finite_or_fits_nothing_is_refused() -> None:
+    part = wide_prior(["nhkv"])["nhkv"]
+    draws, eyes = torch.zeros(3, 2, dtype=torch.float64), torch.eye(2, dtype=torch.float64).expand(3, 2, 2)
+    good = part.with_cloud(draws, eyes)
+    assert isinstance(good, ModelBelief)
+    with pytest.raises(InputDataError, match="must be finite"):
+        part.with_cloud(draws + torch.nan, eyes)
+    with pytest.raises(InputDataError, match="expected n x d and n x d x d"):
+        part.with_cloud(draws, eyes[:2])
+
+
+def test_that_a_curve_that_cannot_be_fitted_does_not_stop_the_others(tmp_path, capsys) -> None:
+    rows = EXAMPLE.read_text().splitlines()
+    kept = [row for row in rows if row.startswith(("experiment_id", "shot_1,", "shot_2,"))]
+    bad = [re.sub("^shot_2,([^,]*)", lambda m: f"shot_2,{1e3 * float(m.group(1))}", row) for row in kept]  # ms in one of them
+    (tmp_path / "gel.csv").write_text("\n".join(bad) + "\n")
+    beside = json.loads(EXAMPLE.with_suffix(".json").read_text())
+    (tmp_path / "gel.json").write_text(json.dumps(beside))
+    document = tmp_path / "each.json"
+    arguments = ["characterize", str(tmp_path / "gel.csv"), "--each", "--models", "nhkv", "--noise", "published", *QUICK]
+    assert main([*arguments, "--json", str(document)]) == 2
+    each = json.loads(document.read_text())["each"]
+    assert "models" in each["shot_1"]
+    assert "the first collapse is at" in each["shot_2"]["error"]
+    assert "1 of 2 curves have no result to be used: shot_2" in capsys.readouterr().err
+
+
+def test_that_a_fit_that_has_not_converged_ends_with_its_status(tmp_path, capsys, monkeypatch) -> None:
+    module = sys.modules[characterize.__module__]
+    whole = module.assimilate_estimating_noise
+
+    def stopped(*args, **kwargs):
+        found = whole(*args, **kwargs)
+        certificate = found.fits[0].certificate
+        object.__setattr__(certificate, "converged", False)
+        return found
+
+    monkeypatch.setattr(module, "assimilate_estimating_noise", stopped)
+    document = tmp_path / "fit.json"
+    assert main([*FIT, "--json", str(document)]) == 1
+    assert "a fit has not converged" in capsys.readouterr().err
+    assert document.exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="devices, links and file modes are those of POSIX")
+def test_that_files_have_the_usual_mode_and_devices_and_links_stay(tmp_path) -> None:
+    write_json(tmp_path / "a.json", {"G": 1.0})
+    mask = os.umask(0)
+    os.umask(mask)
+    assert stat.S_IMODE((tmp_path / "a.json").stat().st_mode) == 0o666 & ~mask
+    (tmp_path / "link.json").symlink_to(tmp_path / "a.json")
+    write_json(tmp_path / "link.json", {"G": 2.0})
+    assert (tmp_path / "link.json").is_symlink()
+    assert json.loads((tmp_path / "a.json").read_text()) == {"G": 2.0}
+    write_json(os.devnull, {"G": 1.0})
+    assert stat.S_ISCHR(os.stat(os.devnull).st_mode)
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    write_json(tmp_path / "pipe", {"G": 1.0})
+    assert json.loads(os.read(reader, 100)) == {"G": 1.0}
+    os.close(reader)
+    assert not [name for name in os.listdir(tmp_path) if name.endswith(".tmp")]
+
+
+def test_that_a_folder_that_may_not_be_written_to_is_refused(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: False)  # as root, permissions do not bind
+    with pytest.raises(InputDataError, match="may not be written to; give another folder"):
+        check_target(tmp_path / "new" / "fit.json", "--json")
+
+
+def run(*arguments: str, **more) -> subprocess.CompletedProcess:
+    return subprocess.run([sys.executable, "-m", "imr_torch", *arguments], capture_output=True, text=True, check=False, **more)
+
+
+def test_that_letters_a_terminal_lacks_do_not_end_the_command(tmp_path) -> None:
+    table = EXAMPLE.read_text().replace("shot_1", "Schuss_\u00e4")
+    (tmp_path / "gel.csv").write_text(table, encoding="utf-8")
+    done = run(
+        "characterize", str(tmp_path / "gel.csv"), "--experiments", "nothing", env=os.environ | {"PYTHONIOENCODING": "ascii"}
+    )
+    assert done.returncode == 2
+    assert "Schuss_\\xe4" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_that_a_full_disk_and_a_closed_pipe_are_said_in_a_line() -> None:
+    simulate = ["simulate", "--set", "G=1e4,mu=0.1", "--physics", "polytropic", "--json"]
+    done = run(*simulate, "/dev/full")
+    assert done.returncode == 2
+    assert "No space left on device" in done.stderr
+    assert "Traceback" not in done.stderr
+    command = f"'{sys.executable}' -m imr_torch characterize --help | true"
+    piped = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert "Traceback" not in piped.stderr
+
+
+def test_that_an_interruption_is_said_in_a_line(monkeypatch, capsys) -> None:
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("imr_torch.cli.characterize.load_traces", interrupted)
+    assert main(FIT) == 130
+    assert capsys.readouterr().err == "imr-torch: stopped; what was written is complete\n"
+
+
+def test_that_intervals_that_draws_did_not_settle_say_what_to_do(capsys) -> None:
+    both = ["characterize", str(EXAMPLE), "--models", "nhkv,gen_qkv", "--noise", "published", *QUICK]
+    assert main(both) == 0
+    normal = capsys.readouterr().out
+    assert main([*both, "--effort", "thorough"]) == 0
+    thorough = capsys.readouterr().out
+    for text in (normal, thorough):
+        for line in text.splitlines():
+            if "intervals not reliable" in line:
+                assert "--effort thorough" in line
+    assert thorough.count("not reliable") <= normal.count("not reliable")
