@@ -53,10 +53,12 @@ class Heading:
 
     @property
     def role(self) -> str | None:
-        """``"time"``, ``"frames"``, ``"radius"``, ``"experiment"``, or None where the name does not say."""
+        """``"time"``, ``"frames"``, ``"radius"``, ``"diameter"``, ``"experiment"``, or None where the name does not say."""
         plain = re.sub(r"[^a-z]", "", self.bare.lower())
         if _ERROR.search(self.bare):
             return None
+        if plain == "d" or "diam" in plain:
+            return "diameter"
         roles = {"time": _TIME_NAMES, "frames": _FRAME_NAMES, "radius": _RADIUS_NAMES}
         if self.unit is None:
             roles["experiment"] = _EXPERIMENT_NAMES
@@ -86,6 +88,8 @@ def heading(name: str, below: str = "") -> Heading:
         unit = unit_of(found[2]) if found else None
         if found and unit is not None and found[2] != "1":
             return Heading(name, found[1].strip(), unit)
+    if name.strip().endswith("*"):
+        return Heading(name, name.strip(), "dimensionless")
     return Heading(name, name.strip(), unit_of(below) if below else None)
 
 
@@ -115,6 +119,7 @@ def infer_layout(file: str, headings: Sequence[Heading], values: Mapping[str, np
     """
     usable = [h for h in headings if h.name in values or h.role or h.unit]
     time, radii = _time(usable), _radii(usable)
+    _check_kinds(file, usable, radii)
     if time is not None:
         radii = [h for h in radii if h.name != time.name]
     experiment = next((h for h in headings if h.role == "experiment" and h not in (time, *radii)), None)
@@ -135,7 +140,7 @@ def infer_layout(file: str, headings: Sequence[Heading], values: Mapping[str, np
         verb = "has" if len(lacking) == 1 else "have"
         raise InputDataError(f"{file}: {' and '.join(lacking)} {verb} no unit. {_proposal(usable, values, said)}")
     assert radius_unit is not None
-    _check_scales(file, said, radius_unit, time_unit)
+    _check_scales(file, said, radii, time, radius_unit, time_unit)
     return Layout(
         "+".join(h.name for h in radii),
         radius_unit=radius_unit,
@@ -148,8 +153,26 @@ def infer_layout(file: str, headings: Sequence[Heading], values: Mapping[str, np
     )
 
 
-def _check_scales(file: str, said: Said, radius_unit: str, time_unit: str | None) -> None:
+def _check_kinds(file: str, headings: Sequence[Heading], radii: Sequence[Heading]) -> None:
+    """Refuse diameters in the place of radii, and several columns of times."""
+    diameters = [h.name for h in headings if h.role == "diameter"]
+    if diameters and not radii:
+        raise InputDataError(f"{file}: '{diameters[0]}' is a diameter by its name; divide it by 2 and name the column R.")
+    times = [f"'{h.name}'" for h in headings if h.role == "time"]
+    if len(times) > 1:
+        raise InputDataError(
+            f"{file}: {' and '.join(times)} are all times. If one holds for all radii, name it with "
+            f'--layout "radius=<name>,radius_unit=um,time={times[0][1:-1]},time_unit=us"; else write the curves below each '
+            "other, with a column experiment_id, or into files of their own."
+        )
+
+
+def _check_scales(
+    file: str, said: Said, radii: Sequence[Heading], time: Heading | None, radius_unit: str, time_unit: str | None
+) -> None:
     """Refuse units whose size is not known."""
+    known = f"radius={'+'.join(h.name for h in radii)},radius_unit={radius_unit}"
+    known += f",time={time.name},time_unit={time_unit}" if time is not None else ""
     for unit, value, key, option in (
         (radius_unit == "px", said.pixel_size, "pixel_size_m", "pixel_size=<metres per pixel>"),
         (time_unit == "frames", said.frame_interval, "frame_rate_fps", "frame_interval=<seconds between frames>"),
@@ -158,8 +181,8 @@ def _check_scales(file: str, said: Said, radius_unit: str, time_unit: str | None
         if unit and value is None:
             name = option.partition("=")[0]
             raise InputDataError(
-                f"{file}: the header gives '{radius_unit}' and '{time_unit}', and no {name} is known; write {key} into the "
-                f'JSON file of the same name beside it, or {option} into --layout "...".'
+                f"{file}: radii are in {radius_unit} and times in {time_unit or 'frames'}, and no {name} is known; write {key} into "
+                f'the JSON file of the same name beside it, or add --layout "{known},{option}".'
             )
 
 

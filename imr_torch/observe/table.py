@@ -20,6 +20,7 @@ from imr_torch.observe.traces import MIN_SAMPLES, LeftOut, row_ranges
 EVERY_COLUMN = "*"
 _LONGEST = 131_072  # characters of a field; no number or name is longer
 _SHOWN = 40  # characters of a cell in a message
+_SEPARATOR = re.compile(r"sep=[;,\t]", re.IGNORECASE)
 _COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?")
 
 
@@ -100,6 +101,8 @@ def read_table(path: Path) -> Table:
             two columns of one name.
     """
     lines = [(i, line) for i, line in enumerate(_text(path).splitlines(), 1) if line.strip()]
+    if lines and _SEPARATOR.fullmatch(lines[0][1].strip()):  # of spreadsheets, which then ignore the line
+        lines = lines[1:]
     comments = [line.lstrip("#% \t") for _, line in lines if line.startswith(("#", "%"))]
     lines = [(i, line) for i, line in lines if not line.startswith(("#", "%"))]
     if not lines:

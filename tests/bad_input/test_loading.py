@@ -80,7 +80,23 @@ FILES = {
     "pixels of unknown size": (
         b"t (us),R (px)\n0,100\n1,99\n",
         None,
-        r"bad\.csv: .*no pixel_size is known; write pixel_size_m into the JSON file .*pixel_size=<metres per pixel> into --layout .*",
+        r"bad\.csv: .*no pixel_size is known; write pixel_size_m into the JSON file .*add --layout \"radius=R \(px\),.*,pixel_size=<metres per pixel>\"\.",
+    ),
+    "a diameter": (
+        b"t (us),diameter (um)\n0,400\n1,398\n",
+        None,
+        r"bad\.csv: 'diameter \(um\)' is a diameter by its name; divide it by 2 and name the column R\.",
+    ),
+    "two columns of times": (
+        b"t1 (us),R1 (um),t2 (us),R2 (um)\n0,100,0,100\n",
+        None,
+        r"bad\.csv: 't1 \(us\)' and 't2 \(us\)' are all times\. .*write the curves below each other, .*",
+    ),
+    "dimensionless columns without a scale": (
+        b"t*,R*\n0,1\n0.1,0.99\n",
+        None,
+        r"bad\.csv: radii are in dimensionless and times in dimensionless, and no max_radius is known; write Rmax_m .*"
+        r'--layout "radius=R\*,radius_unit=dimensionless,time=t\*,time_unit=dimensionless,max_radius=<metres>"\.',
     ),
     "two units of radii": (
         b"t (us),R1 (um),R2 (mm)\n0,100,1\n",

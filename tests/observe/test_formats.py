@@ -79,6 +79,11 @@ def test_that_the_header_may_be_the_last_comment(tmp_path: Path) -> None:
     check(load_traces(tmp_path / "gel.txt"), ("gel",))
 
 
+def test_that_the_line_in_which_spreadsheets_name_the_separator_is_no_header(tmp_path: Path) -> None:
+    (tmp_path / "gel.csv").write_text(f"sep=;\nt (us);R (um)\n{rows(';', ',')}")
+    check(load_traces(tmp_path / "gel.csv"), ("gel",))
+
+
 def test_that_every_column_of_a_wide_table_is_a_curve(tmp_path: Path) -> None:
     text = "time (us),shot 1 (um),shot 2 (um),Temperature\n" + "".join(f"{i},{x},{x},21\n" for i, x in enumerate(RADII))
     (tmp_path / "gel.csv").write_text(text)
@@ -314,6 +319,8 @@ def test_that_a_unit_is_known_by_its_names(text: str, unit: str | None) -> None:
         ("R (fitted)", "R (fitted)", None, None),
         ("R_sd_um", "R_sd", "um", None),
         ("frame", "frame", None, "frames"),
+        ("R*", "R*", "dimensionless", "radius"),
+        ("bubble diameter (um)", "bubble diameter", "um", "diameter"),
         ("shot_id", "shot_id", None, "experiment"),
     ],
 )
