@@ -181,8 +181,8 @@ def _check_scales(
         if unit and value is None:
             name = option.partition("=")[0]
             raise InputDataError(
-                f"{file}: radii are in {radius_unit} and times in {time_unit or 'frames'}, and no {name} is known; write {key} into "
-                f'the JSON file of the same name beside it, or add --layout "{known},{option}".'
+                f"{file}: radii are in {radius_unit} and times in {time_unit or 'frames'}, and no {name} is known; write {key} "
+                f'into the JSON file of the same name beside it, or add --layout "{known},{option}".'
             )
 
 

@@ -339,11 +339,18 @@ def test_that_frames_before_time_zero_are_as_possible_as_they_were_measured() ->
     assert bool(torch.isfinite(found).all())
 
 
-def test_that_independent_noise_takes_memory_in_proportion_to_the_frames() -> None:
+@pytest.mark.parametrize("tau", [0.0, 0.1])
+def test_that_a_likelihood_takes_memory_in_proportion_to_the_frames(tau: float) -> None:
     count = 200_000  # a matrix of frames x frames would take 320 GB
     times = torch.linspace(0.0, 2.0, count, dtype=torch.float64)
     radius = torch.stack([0.5 + 0.1 * times, 0.5 - 0.1 * times])
-    batch = ExperimentBatch((Experiment("long", (400.0, 0.22), times, radius),))
-    expected = torch.distributions.Normal(torch.tensor(0.5).double(), batch.noise.sd(torch.tensor(0.5).double(), times))
+    batch = ExperimentBatch((Experiment("long", (400.0, 0.22), times, radius),), Noise(correlation_time=tau))
+    sd = batch.noise.sd(torch.tensor(0.5).double(), times)
+    standard = (radius - 0.5) / sd
+    kept = math.exp(-2.0 / (count - 1) / tau) if tau else 0.0  # correlation with the frame before
+    mean = torch.nn.functional.pad(kept * standard[:, :-1], (1, 0))
+    spread = torch.full((count,), math.sqrt(1.0 - kept**2), dtype=torch.float64)
+    spread[0] = 1.0
+    expected = torch.distributions.Normal(mean, spread).log_prob(standard).sum() - 2.0 * sd.log().sum()
     value = batch.log_likelihood(torch.full((1, count), 0.5, dtype=torch.float64))
-    torch.testing.assert_close(value[0], expected.log_prob(radius).sum())
+    torch.testing.assert_close(value[0], expected, rtol=1e-7, atol=0.0)
