@@ -4,12 +4,14 @@ import json
 import os
 import secrets
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
 from imr_torch.errors import InputDataError
 
 _LONGEST_NAME = 200  # bytes; file systems take 255, and temporary files have longer names
+_TEMPORARY = ".tmp"
 
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
@@ -29,7 +31,7 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         with open(path, "wb") as stream:
             write(stream)
         return
-    temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(6)}.tmp")
+    temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(6)}{_TEMPORARY}")
     descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
     try:
         with os.fdopen(descriptor, "wb") as stream:
@@ -37,8 +39,11 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
+        _flush_folder(path.parent)
+    except BaseException as error:
+        Path(temporary).unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno is not None and error.filename is None:  # such as a full disk
+            raise OSError(error.errno, error.strerror, str(path)) from error
         raise
 
 
@@ -68,6 +73,38 @@ def check_target(path: str | Path, option: str, *, folder: bool = False) -> None
         raise InputDataError(f"{option} is {str(path)!r}, and {str(nearest)!r} is no folder; give another name.")
     if not os.access(nearest, os.W_OK):
         raise InputDataError(f"{option} is {str(path)!r}, and {str(nearest)!r} may not be written to; give another folder.")
+
+
+def _flush_folder(folder: Path) -> None:
+    """Flush the names of a folder's files to disk, where the system can."""
+    if os.name == "posix":
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            with suppress(OSError):  # some network file systems cannot
+                os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def remove_temporaries(folder: Path, *names: str) -> None:
+    """Remove what :func:`write_atomically` left in a folder when its process was killed.
+
+    Args:
+        folder: where; it must be certain that nobody is writing these files now.
+        names: of the files that were to be written, wildcards allowed.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from imr_torch.files import remove_temporaries
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     (Path(folder) / ".curve.bin.x7.tmp").touch()
+    ...     remove_temporaries(Path(folder), "curve.bin")
+    ...     list(Path(folder).iterdir())
+    []
+    """
+    for name in names:
+        for path in folder.glob(f".{name}.*{_TEMPORARY}"):
+            path.unlink(missing_ok=True)
 
 
 def write_json(path: str | Path, document: Any) -> None:

@@ -2,11 +2,14 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 import torch
 
+from benchmarks.interruptions import Disk
+from imr_torch.campaign import Journal
 from imr_torch.cli import COMMANDS, main, parser
 from imr_torch.cli.campaign import settings_of
 from imr_torch.cli.common import simulator_of
@@ -14,6 +17,7 @@ from imr_torch.cli.design import plan_of
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import Nuisance
 from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator
+from tests.journals import cut
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "tutorials" / "data" / "example_gel.csv"
 TRUTH = {"G": 8310.0, "mu": 0.093}
@@ -175,9 +179,9 @@ def test_campaign_learns_as_published_when_asked_to(tmp_path):
     assert asked["gain"] == max(row["parameters"] + row["model"] for row in asked["evaluations"]) < 6.91  # log 1000
 
 
-def shot_csv(path):
+def shot_csv(path, seed=3):
     """A bubble of polytropic gas in a gel of TRUTH as a camera of .003 in R* films it; R_inf* is .21."""
-    simulator, source = PolytropicSimulator(), torch.Generator().manual_seed(3)
+    simulator, source = PolytropicSimulator(), torch.Generator().manual_seed(seed)
     surroundings = simulator.conditions.surroundings
     times = torch.arange(1, 75, dtype=torch.float64) * 1e-6
     design = torch.tensor([surroundings.weber(300e-6), 0.21], dtype=torch.float64)
@@ -209,6 +213,92 @@ def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, ca
     new = ["--repeats", "1", "--out", str(tmp_path / "other")]
     assert main([*ending, *new, *rest, "--tell", str(shot)]) == 0
     assert "Enough: 1 designs were shot" in capsys.readouterr().out
+
+
+def real(out, *more) -> list[str]:
+    """A campaign with one's own gel whose designs cost nothing."""
+    base = ["campaign", "--models", "nhkv", "--policy", "space-filling", "--repeats", "1", *QUICK]
+    return [*base, "--rest-radius", "0.21:0.005", "--out", str(out), *map(str, more)]
+
+
+@pytest.fixture(scope="module")
+def told_once(tmp_path_factory):
+    """The folder of a real campaign after one tell, and the file that was told."""
+    folder = tmp_path_factory.mktemp("told")
+    shot_csv(folder / "shot.csv")
+    assert main(real(folder / "gel", "--tell", folder / "shot.csv")) == 0
+    return folder / "gel", folder / "shot.csv"
+
+
+def belief_of(out):
+    return json.loads((out / "campaign.json").read_text())["belief"]
+
+
+def test_that_resume_learns_what_a_killed_tell_did_not(told_once, tmp_path, capsys):
+    whole, shot = told_once
+    out = cut(whole, tmp_path / "gel", 2)
+    (out / "campaign.json").unlink()
+    assert main(real(out, "--resume", "--tell", shot)) == 2
+    assert "not learnt yet; resuming without telling it again does so" in capsys.readouterr().err
+    assert main(real(out, "--resume")) == 0
+    assert (out / "journal.jsonl").read_bytes() == (whole / "journal.jsonl").read_bytes()
+    assert belief_of(out) == belief_of(whole)
+
+
+def test_that_a_file_is_told_once_and_forgotten_by_its_number(told_once, tmp_path, capsys):
+    whole, shot = told_once
+    out, other = tmp_path / "gel", tmp_path / "other.csv"
+    shutil.copytree(whole, out)
+    before = (out / "journal.jsonl").read_bytes()
+    assert main(real(out, "--resume", "--tell", shot)) == 2
+    assert "has the curve of experiment 1 ('a')" in (said := capsys.readouterr().err)
+    assert "--resume --forget 1" in said
+    assert (out / "journal.jsonl").read_bytes() == before
+    shot_csv(other, seed=4)
+    assert main(real(out, "--resume", "--forget", 1, "--tell", other)) == 0
+    assert main(real(tmp_path / "alone", "--tell", other)) == 0
+    assert belief_of(out) == belief_of(tmp_path / "alone") != belief_of(whole)
+    assert json.loads((out / "campaign.json").read_text())["experiments"] == [2]
+    assert (out / "curve_002.png").exists()
+    assert (out / "journal.jsonl").read_bytes().startswith(before)
+    assert main(real(out, "--resume", "--forget", 1)) == 2
+    assert "There is no experiment 1 to forget" in capsys.readouterr().err
+
+
+def test_that_a_refused_tell_leaves_no_journal_that_refuses_the_corrected_command(told_once, tmp_path, capsys):
+    _, shot = told_once
+    bad, out = tmp_path / "bad.csv", tmp_path / "gel"
+    header, *rows = shot.read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    bad.write_text("\n".join([header, *(f"{a},{1e3 * float(t):.6e},{r}" for a, t, r in cells)]) + "\n")
+    assert main(real(out, "--tell", bad)) == 2
+    assert "in another unit than stated" in capsys.readouterr().err
+    assert not (out / "journal.jsonl").exists()
+    assert main(["campaign", "--models", "nhkv,newtonian", "--policy", "random", *QUICK, "--out", str(out)]) == 0
+
+
+def test_that_a_campaign_on_workers_is_resumed_on_any_number_of_them(tmp_path):
+    out = tmp_path / "gel"
+    assert main(real(out, "--workers", 2)) == 0
+    before = (out / "journal.jsonl").read_bytes()
+    for more in ([], ["--workers", 2], ["--workers", 3], ["--threads", 1]):
+        assert main(real(out, "--resume", *more)) == 0
+        assert (out / "journal.jsonl").read_bytes() == before
+
+
+def test_that_a_folder_in_use_and_a_full_disk_are_one_line_each(told_once, tmp_path, capsys):
+    out = tmp_path / "gel"
+    shutil.copytree(told_once[0], out)
+    before = (out / "journal.jsonl").read_bytes()
+    with Journal(out).held():
+        assert main(real(out, "--resume", "--forget", 1)) == 2
+    assert "is in use by another campaign (process" in capsys.readouterr().err
+    with Disk(2, "full").watched():
+        assert main(real(out, "--resume", "--forget", 1)) == 1
+    said = capsys.readouterr().err
+    assert "journal.jsonl: No space left on device; the last event was not recorded" in said
+    assert said.count("\n") == 1
+    assert (out / "journal.jsonl").read_bytes() == before
 
 
 def test_a_saved_belief_is_the_prior_of_the_next_design(tmp_path):
@@ -281,6 +371,16 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
             "--policy is 'best'; expected optimal, random",
         ),
         (["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "300:a"], "--policy: '300:a' is not VALUE:VALUE"),
+        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "nan:.2"], "--policy: 'nan:.2' is not VALUE:VALUE"),
+        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "2000:.2"], r"\(2000, 0.2\) is outside"),
+        (
+            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "300:.2"],
+            "--policy lists 1 designs and --designs is 2; list as many",
+        ),
+        (
+            ["campaign", "--models", "nhkv", "--out", "{folder}", "--forget", "1"],
+            "holds no journal to resume; leave --forget away",
+        ),
         (["campaign", "--case", "soft-pa", "--out", "{folder}", "--stop", "luck=7"], "'luck=7' is not a stopping rule"),
         (["campaign", "--case", "soft-pa", "--out", "{folder}", "--resume"], "holds no journal to resume"),
         (["campaign", "--case", "soft-pa", "--out", "{folder}", "--tell", "{file}"], "give one of the two"),

@@ -2,7 +2,7 @@
 
 from imr_torch.campaign.journal import Journal
 from imr_torch.campaign.learners import ExactLearner, Inference, Learner, Observations, PaperLearner
-from imr_torch.campaign.loop import Campaign, CampaignSettings, Step
+from imr_torch.campaign.loop import Campaign, Step
 from imr_torch.campaign.policies import (
     PAPER_OPTIMAL,
     DesignPolicy,
@@ -13,6 +13,7 @@ from imr_torch.campaign.policies import (
     Situation,
     SpaceFilling,
 )
+from imr_torch.campaign.settings import CampaignSettings
 from imr_torch.campaign.stopping import (
     AllOf,
     AnyOf,

@@ -1,21 +1,48 @@
 """An append-only journal: one JSON line per event, flushed to disk before the campaign goes on.
 
-Measured curves are stored beside it as ``.npz`` (no pickles) and the line holds their SHA-256. An incomplete last line, as a
-power cut leaves it, is recognised and cut off when the journal is opened again; everything before it is kept.
+Each line ends with a checksum of itself and of the checksum before it, so lines that were edited, added, removed or moved are
+found when the journal is opened. ``journal.head`` holds the number of lines and the last checksum: by it, lines removed at the
+end are found as well, unless the head is removed too. This finds mistakes, not a forger, who can compute checksums.
+
+An incomplete last line, as a kill, a power cut or a full disk leaves it, is left out, and cut off before the next event is
+written. Measured curves are stored beside the journal as ``.npz`` (no pickles) and the line holds their SHA-256.
 """
 
 import hashlib
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from imr_torch.campaign.lock import FolderLock
 from imr_torch.errors import InputDataError
-from imr_torch.files import write_atomically
+from imr_torch.files import remove_temporaries, write_atomically
 from imr_torch.observe import Experiment, Nuisance
+
+_REMEDY = "Restore it from a copy, or tell its curves to a campaign in a new folder."
+_NUMBER, _OPTIONAL = (int, float), (int, float, type(None))
+_FIELDS: dict[str, dict[str, type | tuple[type, ...]]] = {
+    "start": {"prior": dict, "simulator": str, "settings": dict, "seed": int, "note": dict},
+    "ask": {"step": int, "design": list, "gain": _OPTIONAL, "gain_sd": _OPTIONAL, "evaluations": list},
+    "observed": {"step": int, "experiments": list},
+    "learnt": {"step": int, "experiments": list, "belief": dict, "evidence": list},
+    "forget": {"experiment": int},
+    "stop": {"step": int, "reason": str},
+}
+_RECORD: dict[str, type | tuple[type, ...]] = {
+    "number": int,
+    "label": str,
+    "design": list,
+    "nuisance": dict,
+    "curve": str,
+    "file": str,
+    "sha256": str,
+}
 
 
 def differing(known: Any, wanted: Any, name: str = "") -> list[str]:
@@ -26,11 +53,33 @@ def differing(known: Any, wanted: Any, name: str = "") -> list[str]:
     return [found for key in keys for found in differing(known.get(key), wanted.get(key), f"{name}.{key}" if name else key)]
 
 
+def curve_hash(experiment: Experiment) -> str:
+    """SHA-256 of what was measured: times and radius, without label, design and nuisance.
+
+    >>> import torch
+    >>> from imr_torch.campaign.journal import curve_hash
+    >>> from imr_torch.observe import Experiment
+    >>> times, radius = torch.tensor([[0.0, 0.5], [1.0, 0.84]], dtype=torch.float64)
+    >>> first = Experiment("shot 1", (400.0, 0.22), times, radius[None])
+    >>> curve_hash(first) == curve_hash(Experiment("copy of shot 1", (400.0, 0.25), times, radius[None]))
+    True
+    """
+    digest = hashlib.sha256(str(tuple(experiment.radius.shape)).encode())
+    for values in (experiment.times, experiment.radius):
+        digest.update(values.detach().cpu().contiguous().numpy().astype("<f8").tobytes())
+    return digest.hexdigest()
+
+
 class Journal:
     """The events of one campaign in a folder.
 
+    Opening reads and changes nothing. Writing takes the folder's lock (:meth:`held`).
+
     Args:
-        folder: where ``journal.jsonl`` and the curves are kept; made when missing.
+        folder: where ``journal.jsonl`` and the curves are kept; made when something is written.
+
+    Raises:
+        InputDataError: if the journal was changed by something else than this class; the message names the line.
 
     >>> import tempfile
     >>> from imr_torch.campaign import Journal
@@ -44,35 +93,160 @@ class Journal:
         self.folder = Path(folder)
         self.path = self.folder / "journal.jsonl"
         self.events: list[dict[str, Any]] = []
-        if self.path.exists():
-            self._read()
+        self._head = self.folder / "journal.head"
+        self._checks: list[str] = []
+        self._size, self._tail = 0, b""  # bytes of the lines that end, and what follows them
+        self._tail_counts = False  # whether that is an event that lacks no more than its line's end
+        self._headed = 0  # lines that the head knows of
+        self._lock = FolderLock(self.folder)
+        self._read()
 
     def _read(self) -> None:
-        whole = 0
-        for number, line in enumerate(self.path.read_bytes().splitlines(keepends=True), start=1):
-            try:
-                if not line.endswith(b"\n"):
-                    raise ValueError("line is not terminated")
-                self.events.append(json.loads(line))
-                whole += len(line)
-            except ValueError as error:
-                if whole + len(line) < self.path.stat().st_size:
-                    raise InputDataError(
-                        f"{self.path}, line {number}: not a journal entry ({error}). The file was changed by hand; restore it."
-                    ) from None
-                os.truncate(self.path, whole)
+        count, check = self._read_head()  # before the journal: a writer writes it after its line
+        *lines, tail = (self.path.read_bytes() if self.path.exists() else b"").split(b"\n")
+        for line in lines:
+            self._accept(line)
+            self._size += len(line) + 1
+        if tail:
+            with suppress(InputDataError):  # an append that was cut off
+                self._accept(tail)
+                self._tail_counts = True
+        self._tail = tail
+        self._headed = count
+        if count > len(self.events):
+            raise InputDataError(
+                f"{self.path} has {len(self.events)} whole lines and {self._head.name} says that {count} were written: lines "
+                f"at its end were removed or damaged. {_REMEDY} To accept the loss, delete {self._head.name}."
+            )
+        if count and self._checks[count - 1] != check:
+            raise InputDataError(
+                f"{self.path}, line {count}: not the line that {self._head.name} says was written. {_REMEDY} "
+                f"To accept the journal as it is, delete {self._head.name}."
+            )
+
+    def _read_head(self) -> tuple[int, str]:
+        """Number of lines that were written at least, and the checksum of the last of them; 0 where that is not known."""
+        if not self._head.exists():
+            return 0, ""
+        try:
+            document = json.loads(self._head.read_bytes())
+            count, check = document["lines"], document["check"]
+            if not (type(count) is int and count >= 0 and isinstance(check, str)):
+                raise ValueError(f"lines is {count!r} and check is {check!r}")
+        except (ValueError, TypeError, KeyError) as error:
+            raise InputDataError(f"{self._head}: cannot be read ({error}). Restore it from a copy, or delete it.") from None
+        return count, check
+
+    def _accept(self, line: bytes) -> None:
+        """Add the event of a line, once it is known to be what was written there."""
+        place = f"{self.path}, line {len(self.events) + 1}"
+        try:
+            entry = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            raise InputDataError(f"{place}: not a journal entry ({error}). {_REMEDY}") from None
+        if not isinstance(entry, dict) or not isinstance(entry.get("event"), str):
+            text = line.decode(errors="replace")[:40]
+            raise InputDataError(f"{place}: not a journal entry (expected an object with an 'event', got {text!r}). {_REMEDY}")
+        check = entry.pop("check", None)
+        if check is None:
+            raise InputDataError(
+                f"{place}: has no checksum ('check'); an earlier version of imr_torch wrote it, or it was changed. {_REMEDY}"
+            )
+        if check in self._checks:
+            raise InputDataError(f"{place}: a copy of line {self._checks.index(check) + 1}. {_REMEDY}")
+        expected = _encoded(entry, self._checks[-1] if self._checks else "")
+        if expected is None or expected[0] != line:
+            raise InputDataError(
+                f"{place}: its checksum does not fit; this line was edited or moved, or lines before it were removed or moved. "
+                f"{_REMEDY}"
+            )
+        _check_fields(entry, _FIELDS.get(entry["event"], {}), f"{place}: event {entry['event']!r}")
+        if entry["event"] == "observed":
+            for record in entry["experiments"]:
+                _check_fields(record, _RECORD, f"{place}: an experiment of event 'observed'")
+        self.events.append(entry)
+        self._checks.append(check)
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the folder's lock for several operations; every operation that writes takes it by itself otherwise.
+
+        What an interrupted process left is cleaned up: an incomplete last line and temporary files.
+
+        Raises:
+            InputDataError: if another process holds the lock, or wrote to the journal since it was opened here.
+        """
+        with self._lock.held() as taken:
+            if taken:
+                self._check_unchanged()
+                self._repair()
+            yield
+
+    def _check_unchanged(self) -> None:
+        with suppress(FileNotFoundError), self.path.open("rb") as stream:
+            size = stream.seek(0, os.SEEK_END)
+            stream.seek(min(self._size, size))
+            if size == self._size + len(self._tail) and stream.read() == self._tail:
+                return
+            raise InputDataError(f"{self.path} was written to since it was opened here; open the campaign again.")
+        if self._size:
+            raise InputDataError(f"{self.path} was removed since it was opened here. {_REMEDY}")
+
+    def _repair(self) -> None:
+        """Complete or cut off the last line, write the head if it lags, and remove files that an interrupted write left."""
+        remove_temporaries(self.folder, "journal.head", "experiment_*.npz")
+        if self._tail_counts:
+            self._write(b"\n")
+            self._size += len(self._tail)
+        elif self._tail:
+            os.truncate(self.path, self._size)
+        self._tail, self._tail_counts = b"", False
+        if self._headed < len(self._checks):
+            self._write_head()
+
+    def _write_head(self) -> None:
+        """Note how far the journal has come. A head that lags behind detects less, and stops nothing."""
+        head = json.dumps({"lines": len(self._checks), "check": self._checks[-1]}) + "\n"
+        with suppress(OSError):
+            write_atomically(self._head, lambda stream: stream.write(head.encode()))
+            self._headed = len(self._checks)
 
     def append(self, event: str, **fields: Any) -> dict[str, Any]:
-        """Add an event and flush it to disk."""
+        """Add an event and flush it to disk.
+
+        Raises:
+            InputDataError: if another process holds the lock, or a number is not finite.
+            OSError: if it cannot be written; the journal is then as it was before.
+        """
         entry = {"event": event, **fields}
-        line = json.dumps(entry, allow_nan=False) + "\n"
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with self.path.open("ab") as stream:
-            stream.write(line.encode())
-            stream.flush()
-            os.fsync(stream.fileno())
-        self.events.append(json.loads(line))
+        encoded = _encoded(entry, self._checks[-1] if self._checks else "")
+        if encoded is None:
+            raise InputDataError(f"Event {event!r} holds a number that is not finite, which JSON cannot represent.")
+        line, check = encoded
+        with self.held():
+            self._write(line + b"\n")
+            self.events.append(json.loads(json.dumps(entry)))
+            self._checks.append(check)
+            self._write_head()
         return entry
+
+    def _write(self, data: bytes) -> None:
+        """Add bytes to the file and flush them to disk, all of them or none."""
+        before = self._size + len(self._tail)
+        try:
+            with self.path.open("ab", buffering=0) as stream:
+                view = memoryview(data)
+                while view:
+                    view = view[stream.write(view) :]
+                os.fsync(stream.fileno())
+        except BaseException as error:
+            with suppress(OSError):  # if this fails too, the incomplete line is cut off when the journal is opened again
+                os.truncate(self.path, before)
+            if isinstance(error, OSError):
+                message = f"{error.strerror}; the last event was not recorded, those before it were. Make room and resume"
+                raise OSError(error.errno, message, str(self.path)) from error
+            raise
+        self._size += len(data)
 
     def find(self, event: str, step: int | None = None) -> dict[str, Any] | None:
         """The last event of a kind (and step), or None."""
@@ -84,12 +258,14 @@ class Journal:
     def store(self, experiment: Experiment, name: str) -> dict[str, Any]:
         """Write an experiment's curves beside the journal; returns the JSON-ready record that finds them again."""
         path = self.folder / f"{name}.npz"
-        times, radius = experiment.times.numpy(), experiment.radius.numpy()
-        write_atomically(path, lambda stream: np.savez(stream, times=times, radius=radius))
+        times, radius = experiment.times.detach().cpu().numpy(), experiment.radius.detach().cpu().numpy()
+        with self.held():
+            write_atomically(path, lambda stream: np.savez(stream, times=times, radius=radius))
         return {
             "label": experiment.label,
             "design": list(experiment.design),
             "nuisance": vars(experiment.nuisance),
+            "curve": curve_hash(experiment),
             "file": path.name,
             "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         }
@@ -109,3 +285,26 @@ class Journal:
             times, radius = torch.from_numpy(arrays["times"]), torch.from_numpy(arrays["radius"])
         weber, rest = record["design"]
         return Experiment(record["label"], (weber, rest), times, radius, Nuisance(**record["nuisance"]))
+
+
+def _encoded(entry: dict[str, Any], previous: str) -> tuple[bytes, str] | None:
+    """The line of an entry without its end, and its checksum; None if a number is not finite."""
+    try:
+        body = json.dumps(entry, allow_nan=False)
+    except ValueError:
+        return None
+    check = hashlib.sha256((previous + body).encode()).hexdigest()
+    return f'{body[:-1]}, "check": "{check}"}}'.encode(), check
+
+
+def _check_fields(entry: Any, fields: dict[str, type | tuple[type, ...]], place: str) -> None:
+    """Raise unless an entry has all fields, each of its kind."""
+    if not isinstance(entry, dict):
+        raise InputDataError(f"{place} is {entry!r}; expected an object. {_REMEDY}")
+    for name, kind in fields.items():
+        if name not in entry:
+            raise InputDataError(f"{place} has no {name!r}. {_REMEDY}")
+        if not isinstance(entry[name], kind) or isinstance(entry[name], bool):
+            kinds = kind if isinstance(kind, tuple) else (kind,)
+            expected = " or ".join("nothing" if k is type(None) else k.__name__ for k in kinds)
+            raise InputDataError(f"{place}: {name} is {entry[name]!r}; expected {expected}. {_REMEDY}")

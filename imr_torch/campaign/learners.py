@@ -92,6 +92,10 @@ class Learner(Protocol):
     True
     """
 
+    def check(self, batch: ExperimentBatch) -> None:
+        """Raise :class:`InputDataError` for experiments that the method cannot take; called before they are recorded."""
+        ...
+
     def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
         """Infer the belief after all experiments; a function of the observations alone."""
         ...
@@ -121,6 +125,9 @@ class ExactLearner:
     def __post_init__(self) -> None:
         if self.noise_rounds < 0:
             raise InputDataError(f"ExactLearner.noise_rounds is {self.noise_rounds}; expected 0 or more.")
+
+    def check(self, batch: ExperimentBatch) -> None:
+        """See :class:`Learner`; all are taken."""
 
     def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
         """See :class:`Learner`."""
@@ -159,15 +166,15 @@ class PaperLearner:
 
     options: PublishedOptions = field(default_factory=PublishedOptions)
 
-    def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
-        """See :class:`Learner`.
-
-        Raises:
-            InputDataError: if the design or the clock of an experiment is uncertain, which the method cannot express.
-        """
-        batch, belief, record = observations.batch, observations.belief, {}
+    def check(self, batch: ExperimentBatch) -> None:
+        """Raise if the design or the clock of an experiment is uncertain, which the method cannot express."""
         if bool((batch.nuisance_sds > 0.0).any()):
             raise InputDataError("PaperLearner takes designs and clocks as exact; give experiments without nuisances.")
+
+    def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
+        """See :class:`Learner`. Raises as :meth:`check` does."""
+        batch, belief, record = observations.batch, observations.belief, {}
+        self.check(batch)
         count = len(batch.experiments)
         for number in range(count - observations.fresh + 1, count + 1):
             experiment = batch.experiments[number - 1]

@@ -3,13 +3,14 @@
 What to shoot is a policy's choice (:mod:`~imr_torch.campaign.policies`), what is learnt a learner's
 (:mod:`~imr_torch.campaign.learners`), and when to end a rule's (:mod:`~imr_torch.campaign.stopping`). Everything that is
 asked, measured or concluded is in the journal before the next thing starts; opening the folder again continues where it
-stopped, with the same numbers bit for bit on one machine.
+stopped, with the same numbers bit for bit on one machine, on any number of workers and threads.
+
+Experiments are numbered in the order in which they were told, and a number is not used again when an experiment is forgotten.
 """
 
-import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -18,59 +19,19 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation
-from imr_torch.campaign.journal import Journal, differing
-from imr_torch.campaign.learners import ExactLearner, Learner, Observations, PaperLearner, finite
-from imr_torch.campaign.policies import PAPER_OPTIMAL, DesignPolicy, Optimal, Proposal, Situation
-from imr_torch.campaign.stopping import Standing, StoppingRule
-from imr_torch.design import DesignSearch, DesignSpace, Plan
-from imr_torch.errors import InputDataError
+from imr_torch.campaign.admission import check_simulated
+from imr_torch.campaign.journal import Journal, curve_hash, differing
+from imr_torch.campaign.learners import Observations, finite
+from imr_torch.campaign.policies import Proposal, Situation
+from imr_torch.campaign.settings import CampaignSettings, through_json
+from imr_torch.campaign.stopping import Standing
+from imr_torch.design import DesignSearch, Plan
+from imr_torch.errors import ImrError, InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, collapse_time
 from imr_torch.select import Evidence
-from imr_torch.simulate import Simulator
+from imr_torch.simulate import Simulator, described
 from imr_torch.types import Progress
-
-
-@dataclass(frozen=True)
-class CampaignSettings:
-    """How a campaign chooses, learns and ends.
-
-    Args:
-        space: designs that may be asked for.
-        plan: how each experiment will be observed.
-        policy: chooses designs.
-        learner: turns experiments into a belief.
-        stop: ends the campaign; None to go on as long as :meth:`Campaign.run` is asked to.
-
-    >>> from imr_torch.campaign import CampaignSettings, Designs, SpaceFilling
-    >>> settings = CampaignSettings(policy=SpaceFilling(), stop=Designs(5))
-    >>> settings.to_dict()["stop"]
-    {'kind': 'Designs', 'count': 5}
-    """
-
-    space: DesignSpace = field(default_factory=DesignSpace)
-    plan: Plan = field(default_factory=lambda: Plan(repeats=100))
-    policy: DesignPolicy = field(default_factory=Optimal)
-    learner: Learner = field(default_factory=ExactLearner)
-    stop: StoppingRule | None = None
-
-    @classmethod
-    def paper(cls) -> "CampaignSettings":
-        """Everything as in arXiv 2409.00011, defects included: its search, assimilation and model probability."""
-        return cls(policy=PAPER_OPTIMAL, learner=PaperLearner())
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready values, with the kind of every part."""
-        return _described(self)
-
-
-def _described(value: Any) -> Any:
-    """A dataclass and what it is made of as JSON-ready values."""
-    if is_dataclass(value):
-        return {"kind": type(value).__name__} | {f.name: _described(getattr(value, f.name)) for f in fields(value)}
-    if isinstance(value, tuple):
-        return [_described(part) for part in value]
-    return value.tolist() if isinstance(value, Tensor) else value
 
 
 @dataclass(frozen=True)
@@ -78,7 +39,7 @@ class Step:
     """The state after one experiment: belief, evidence and fits.
 
     Args:
-        number: from 1.
+        number: of the last experiment that it includes, from 1.
         belief: after this experiment.
         evidence: evidence of each model, all experiments together; empty if the learner knows none.
         assimilation: the fits; None when the step was read back from the journal, or the learner makes none.
@@ -109,8 +70,11 @@ class Campaign:
         seed: of everything random.
         note: what else identifies the campaign (JSON-ready); checked on resume.
 
+    Opening writes nothing; a new journal begins with the first thing that is asked or told. Whatever writes holds the folder's
+    lock while it works (:meth:`Journal.held`), so that two processes cannot continue one campaign at a time.
+
     Raises:
-        InputDataError: if the folder holds the journal of another campaign.
+        InputDataError: if the folder holds the journal of another campaign, or one that was changed.
 
     >>> import tempfile
     >>> from imr_torch import PolytropicSimulator, reference_case
@@ -143,39 +107,76 @@ class Campaign:
         self.settings = settings or CampaignSettings()
         self.journal = Journal(folder)
         self.experiments: list[Experiment] = []
+        self.numbers: list[int] = []
         self.steps: list[Step] = []
-        self._identify(note or {})
+        self._identity = self._identify(note or {})
         self._replay()
 
-    def _identify(self, note: dict[str, Any]) -> None:
-        """Start the journal, or check that it belongs to this campaign."""
-        identity = {
-            "prior": self.prior.to_dict(),
-            "simulator": type(self.simulator).__name__ + " " + repr(self.simulator),
-            "settings": self.settings.to_dict(),
-            "seed": self.seed,
-            "note": note,
-        }
-        identity = _through_json(identity)
-        known = self.journal.find("start")
-        if known is None:
-            self.journal.append("start", **identity)
-            return
-        known = {key: value for key, value in known.items() if key != "event"}
+    def _identify(self, note: dict[str, Any]) -> dict[str, Any]:
+        """What the journal begins with, checked against the journal if there is one."""
+        identity = through_json(
+            {
+                "prior": self.prior.to_dict(),
+                "simulator": described(self.simulator),
+                "settings": self.settings.to_dict(),
+                "seed": self.seed,
+                "note": note,
+            }
+        )
+        if not self.journal.events:
+            return identity
+        first = self.journal.events[0]
+        if first["event"] != "start":
+            raise InputDataError(f"{self.journal.path}, line 1: event is {first['event']!r}; a campaign begins with 'start'.")
+        known = {key: value for key, value in first.items() if key != "event"}
         if names := differing(known, identity):
             raise InputDataError(
                 f"{self.journal.path} is the journal of another campaign: {', '.join(names)} differ. Resume with the same "
                 "arguments; if another version of imr_torch began it, tell its curves to a campaign in a new folder."
             )
+        return identity
+
+    def _record(self, event: str, **fields: Any) -> None:
+        """Write an event, after the start of the journal if there is none yet."""
+        if not self.journal.events:
+            self.journal.append("start", **self._identity)
+        self.journal.append(event, **fields)
 
     def _replay(self) -> None:
-        for event in self.journal.events:
-            if event["event"] == "experiment":
-                self.experiments.append(self.journal.restore(event["record"]))
-            elif event["event"] == "belief":
-                evidence = tuple(Evidence(**_infinite(entry)) for entry in event["evidence"])
-                noise = Noise(**event["noise"]) if event.get("noise") else None
-                self.steps.append(Step(event["step"], Belief.from_dict(event["belief"]), evidence, noise=noise))
+        known: dict[int, Experiment] = {}
+        for line, event in enumerate(self.journal.events, start=1):
+            try:
+                self._replay_one(event, known)
+            except ImrError as error:
+                raise type(error)(f"{self.journal.path}, line {line}: {error}") from None
+            except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+                raise InputDataError(
+                    f"{self.journal.path}, line {line}: event {event['event']!r} cannot be read "
+                    f"({type(error).__name__}: {error}). Restore the journal from a copy."
+                ) from None
+        self.numbers, self.experiments = list(known), list(known.values())
+
+    def _replay_one(self, event: dict[str, Any], known: dict[int, Experiment]) -> None:
+        """Follow one event; experiments that count are collected in ``known``, by number."""
+        if event["event"] == "observed":
+            for record in event["experiments"]:
+                known[record["number"]] = self.journal.restore(record)
+        elif event["event"] == "learnt":
+            evidence = tuple(Evidence(**_infinite(entry)) for entry in event["evidence"])
+            noise = Noise(**event["noise"]) if event.get("noise") else None
+            self.steps.append(Step(event["step"], Belief.from_dict(event["belief"]), evidence, noise=noise))
+        elif event["event"] == "forget":
+            known.pop(event["experiment"])
+            self._drop_steps(event["experiment"])
+
+    def _drop_steps(self, number: int) -> None:
+        """Drop the steps that learnt from an experiment."""
+        self.steps = [step for step in self.steps if step.number < number]
+
+    @property
+    def told(self) -> int:
+        """Number of experiments that were told so far, those that were forgotten included."""
+        return sum(len(event["experiments"]) for event in self.journal.events if event["event"] == "observed")
 
     @property
     def belief(self) -> Belief:
@@ -189,9 +190,10 @@ class Campaign:
         return replace(self.settings.plan, noise=noise) if noise else self.settings.plan
 
     @property
-    def _learnt(self) -> int:
-        """Number of experiments that the present belief includes."""
-        return self.steps[-1].number if self.steps else 0
+    def outstanding(self) -> tuple[int, ...]:
+        """Numbers of the experiments that were told and are not in the present belief, as after an interruption."""
+        last = self.steps[-1].number if self.steps else 0
+        return tuple(number for number in self.numbers if number > last)
 
     def reason_to_stop(self, proposal: Proposal | None = None) -> str | None:
         """Why the campaign should end, by what was told so far and, if given, what is proposed; None where it should not."""
@@ -201,7 +203,8 @@ class Campaign:
     def ask(self, *, progress: Progress | None = None) -> Proposal:
         """The design that the policy chooses under the present belief.
 
-        A design that was asked before and not yet told is given again without another search.
+        A design that was asked before and not yet told is given again without another search, unless an experiment was
+        forgotten since. What was told and not learnt, as after an interruption, is learnt first.
         """
         return self.ask_several(1, progress=progress)[0]
 
@@ -218,14 +221,25 @@ class Campaign:
         if q < 1:
             raise InputDataError(f"q is {q}; expected at least 1.")
         proposals: list[Proposal] = []
-        for number in range(len(self.experiments) + 1, len(self.experiments) + 1 + q):
-            pending = torch.stack([p.design for p in proposals]) if proposals else None
-            proposals.append(self._propose(number, pending, progress))
+        with self.journal.held():
+            self._catch_up(progress)
+            for number in range(self.told + 1, self.told + 1 + q):
+                pending = torch.stack([p.design for p in proposals]) if proposals else None
+                proposals.append(self._propose(number, pending, progress))
         return tuple(proposals)
+
+    def _asked(self, number: int) -> dict[str, Any] | None:
+        """The journal's last ``ask`` of a step; None if it was to be answered under a belief that was withdrawn since."""
+        for event in reversed(self.journal.events):
+            if event["event"] == "forget" and number > self.told:
+                return None
+            if event["event"] == "ask" and event["step"] == number:
+                return event
+        return None
 
     def _propose(self, number: int, pending: Tensor | None, progress: Progress | None) -> Proposal:
         """The proposal of one step, from the journal if it was made before."""
-        known = self.journal.find("ask", number)
+        known = self._asked(number)
         if known is not None:
             design = torch.tensor(known["design"], dtype=torch.float64)
             return Proposal(number, design, known["gain"], known["gain_sd"])
@@ -234,7 +248,7 @@ class Campaign:
         found = settings.policy.choose(situation, progress=progress)
         search = found.search
         tried = zip(search.gains, search.designs, strict=True) if search else ()
-        self.journal.append(
+        self._record(
             "ask",
             step=number,
             design=found.design.tolist(),
@@ -247,11 +261,14 @@ class Campaign:
 
     def search(self, number: int) -> DesignSearch | None:
         """The search behind the proposal of a step, rebuilt from the journal; None where there was none."""
-        known = self.journal.find("ask", number)
+        known = self._asked(number)
         return None if known is None else self.settings.policy.rebuild(known, self.settings.space, self.seed)
 
     def tell(self, *experiments: Experiment, progress: Progress | None = None) -> Step:
         """Record what was measured, with its achieved design, and update the belief.
+
+        Experiments enter the journal together, by one line, once they are known to be new and could be simulated. What was
+        told before and not learnt, as after an interruption, is learnt first.
 
         Args:
             experiments: one or more experiments; each curve counts once.
@@ -259,33 +276,133 @@ class Campaign:
 
         Returns:
             The new belief with evidences and fits.
+
+        Raises:
+            InputDataError: if a curve is in the journal already, or cannot be simulated; nothing is recorded then.
         """
         if not experiments:
             raise InputDataError("tell needs at least one experiment.")
+        with self.journal.held():
+            self._check_new(experiments)
+            self._catch_up(progress)
+            for experiment in experiments:
+                check_simulated(self.belief, self._window(experiment), self.simulator, self.settings.plan.noise, self.seed)
+            numbers = range(self.told + 1, self.told + 1 + len(experiments))
+            self.settings.learner.check(self._batch(experiments))
+            records = [
+                {"number": number} | self.journal.store(experiment, f"experiment_{number:03d}")
+                for number, experiment in zip(numbers, experiments, strict=True)
+            ]
+            self._record("observed", step=numbers[-1], experiments=records)
+            self.numbers.extend(numbers)
+            self.experiments.extend(experiments)
+            return self.learn(progress=progress)
+
+    def _check_new(self, experiments: Sequence[Experiment]) -> None:
+        """Raise if a curve was told before, or is given twice."""
+        known = {curve_hash(e): (number, e.label) for number, e in zip(self.numbers, self.experiments, strict=True)}
+        given: dict[str, str] = {}
         for experiment in experiments:
-            number = len(self.experiments) + 1
-            record = self.journal.store(experiment, f"experiment_{number:03d}")
-            self.journal.append("experiment", step=number, record=record)
-            self.experiments.append(experiment)
-        return self.learn(progress=progress)
+            curve = curve_hash(experiment)
+            if curve in known:
+                number, label = known[curve]
+                waiting = " It was not learnt yet; resuming without telling it again does so." * (number in self.outstanding)
+                raise InputDataError(
+                    f"Experiment {experiment.label!r} has the curve of experiment {number} ({label!r}), which is in "
+                    f"{self.journal.path} already; each curve counts once.{waiting} Tell only new curves; to replace this one, "
+                    f"forget it first: Campaign.forget({number}), imr-torch campaign --resume --forget {number}."
+                )
+            if curve in given:
+                raise InputDataError(
+                    f"Experiments {given[curve]!r} and {experiment.label!r} have the same curve, which counts once: omit one."
+                )
+            given[curve] = experiment.label
+
+    def forget(self, number: int, *, progress: Progress | None = None) -> Step | None:
+        """Take an experiment out of the belief and learn from the others; its curve and its line in the journal stay.
+
+        Designs that were asked for since and not yet told are asked for anew.
+
+        Args:
+            number: of the experiment, from 1, in the order of telling; the numbers of others do not change.
+            progress: called with one line per iteration.
+
+        Returns:
+            The last step; None if no experiment is left.
+
+        Raises:
+            InputDataError: if there is no such experiment.
+
+        >>> import tempfile
+        >>> import torch
+        >>> from imr_torch import PolytropicSimulator, reference_case
+        >>> from imr_torch.assimilate import SearchOptions
+        >>> from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner
+        >>> from imr_torch.material import PARAMETERS
+        >>> from imr_torch.observe import SimulatedLaboratory
+        >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+        >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+        >>> settings = CampaignSettings(learner=ExactLearner(64, SearchOptions(scouts=16, starts=2)))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     campaign = Campaign(folder, case.prior, simulator, settings=settings)
+        ...     _ = campaign.tell(laboratory.shoot(torch.tensor([400.0, 0.22]).double(), seed=0))
+        ...     campaign.forget(1)
+        ...     campaign.told, campaign.numbers, campaign.belief.probabilities == case.prior.probabilities
+        (1, [], True)
+        """
+        with self.journal.held():
+            if number not in self.numbers:
+                held = ", ".join(f"{n} ({e.label!r})" for n, e in zip(self.numbers, self.experiments, strict=True)) or "none"
+                raise InputDataError(f"There is no experiment {number} to forget in {self.journal.path}; it counts {held}.")
+            self._record("forget", experiment=number)
+            del self.experiments[self.numbers.index(number)]
+            self.numbers.remove(number)
+            self._drop_steps(number)
+            self._catch_up(progress)
+        return self.steps[-1] if self.steps else None
+
+    def _catch_up(self, progress: Progress | None) -> None:
+        """Learn from what was told and not learnt."""
+        if waiting := self.outstanding:
+            if progress:
+                progress(f"learning from experiment {', '.join(map(str, waiting))}, told before")
+            self.learn(progress=progress)
 
     def learn(self, *, progress: Progress | None = None) -> Step:
-        """Learn from all experiments so far and record the belief; what :meth:`tell` does last."""
-        number, settings = len(self.experiments), self.settings
-        batch = ExperimentBatch(tuple(self._window(e) for e in self.experiments), settings.plan.noise)
-        inference = settings.learner.learn(
-            Observations(self.prior, self.belief, batch, number - self._learnt, self.seed), self.simulator, progress=progress
-        )
-        self.journal.append(
-            "belief",
-            step=number,
-            belief=inference.belief.to_dict(),
-            evidence=[finite(asdict(e)) for e in inference.evidence],
-            noise=vars(inference.noise) if inference.noise else None,
-            **inference.record,
-        )
-        self.steps.append(Step(number, inference.belief, inference.evidence, inference.assimilation, inference.noise))
+        """Learn from all experiments so far and record the belief, unless that was done; what :meth:`tell` does last.
+
+        Raises:
+            InputDataError: if there is no experiment.
+        """
+        if not self.experiments:
+            raise InputDataError("There is no experiment to learn from; tell one first.")
+        fresh = self.outstanding
+        if not fresh:
+            return self.steps[-1]
+        with self.journal.held():
+            observations = Observations(self.prior, self.belief, self._batch(self.experiments), len(fresh), self.seed)
+            try:
+                inference = self.settings.learner.learn(observations, self.simulator, progress=progress)
+            except ImrError as error:
+                raise type(error)(
+                    f"{error} (Learning from experiment {', '.join(map(str, fresh))}, which is in the journal. To go on "
+                    f"without it: Campaign.forget({fresh[-1]}), imr-torch campaign --resume --forget {fresh[-1]}.)"
+                ) from error
+            self._record(
+                "learnt",
+                step=fresh[-1],
+                experiments=list(self.numbers),
+                belief=inference.belief.to_dict(),
+                evidence=[finite(asdict(e)) for e in inference.evidence],
+                noise=vars(inference.noise) if inference.noise else None,
+                **inference.record,
+            )
+        self.steps.append(Step(fresh[-1], inference.belief, inference.evidence, inference.assimilation, inference.noise))
         return self.steps[-1]
+
+    def _batch(self, experiments: Sequence[Experiment]) -> ExperimentBatch:
+        """Experiments as a learner sees them."""
+        return ExperimentBatch(tuple(self._window(e) for e in experiments), self.settings.plan.noise)
 
     def _window(self, experiment: Experiment) -> Experiment:
         collapses = self.settings.plan.collapses
@@ -310,41 +427,25 @@ class Campaign:
                 before each such set.
             progress: called with one line per step of work.
         """
-        if len(self.experiments) > self._learnt:  # the last run was cut off between measuring and learning
-            self._complete(shoot, designs, progress)
-        while len(self.experiments) < designs:
-            if reason := self.reason_to_stop():
-                return self._end(reason, progress)
-            proposals = self.ask_several(min(q, designs - len(self.experiments)), progress=progress)
-            if reason := self.reason_to_stop(proposals[0]):
-                return self._end(reason, progress)
-            worth = takewhile(lambda proposal: not self.reason_to_stop(proposal), proposals)
-            self.tell(*[shoot(proposal.design, proposal.step) for proposal in worth], progress=progress)
+        with self.journal.held():
+            self._catch_up(progress)
+            while len(self.experiments) < designs:
+                if reason := self.reason_to_stop():
+                    return self._end(reason, progress)
+                proposals = self.ask_several(min(q, designs - len(self.experiments)), progress=progress)
+                if reason := self.reason_to_stop(proposals[0]):
+                    return self._end(reason, progress)
+                worth = takewhile(lambda proposal: not self.reason_to_stop(proposal), proposals)
+                self.tell(*[shoot(proposal.design, proposal.step) for proposal in worth], progress=progress)
         return self.steps
-
-    def _complete(self, shoot: Callable[[Tensor, int], Experiment], designs: int, progress: Progress | None) -> None:
-        """Shoot what was asked together with the last experiments and not told, and learn from all of them."""
-        asked = takewhile(lambda number: self.journal.find("ask", number), range(len(self.experiments) + 1, designs + 1))
-        proposals = [self._propose(number, None, progress) for number in asked]
-        worth = list(takewhile(lambda proposal: not self.reason_to_stop(proposal), proposals))
-        if worth:
-            self.tell(*[shoot(proposal.design, proposal.step) for proposal in worth], progress=progress)
-        else:
-            self.learn(progress=progress)
 
     def _end(self, reason: str, progress: Progress | None) -> Sequence[Step]:
         """Write down why the campaign is over, once."""
-        number = len(self.experiments)
-        if self.journal.find("stop", number) is None:
-            self.journal.append("stop", step=number, reason=reason)
+        if self.journal.find("stop", self.told) is None:
+            self._record("stop", step=self.told, reason=reason)
         if progress:
             progress(f"stopped: {reason}")
         return self.steps
-
-
-def _through_json(document: Any) -> Any:
-    """As it will read when it comes back from the journal."""
-    return json.loads(json.dumps(document))
 
 
 def _infinite(values: dict[str, Any]) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from imr_torch.design import (
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.random import child, generator
-from imr_torch.simulate import Simulator, coarser
+from imr_torch.simulate import Simulator, check_designs, coarser
 from imr_torch.types import Progress
 
 
@@ -224,6 +224,7 @@ class Fixed(_WithoutSearch):
     def __post_init__(self) -> None:
         if not self.designs:
             raise InputDataError("Fixed.designs is empty; name at least one (We, R_inf*).")
+        check_designs(torch.tensor(self.designs, dtype=torch.float64))
 
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`DesignPolicy`.

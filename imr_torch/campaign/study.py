@@ -18,7 +18,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from imr_torch.campaign.loop import Campaign, CampaignSettings
+from imr_torch.campaign.loop import Campaign
+from imr_torch.campaign.settings import CampaignSettings
 from imr_torch.errors import UnsupportedError
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, SimulatedLaboratory

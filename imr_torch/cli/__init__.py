@@ -1,7 +1,7 @@
 """The command ``imr-torch``: one file per subcommand, results as text, JSON and figures.
 
-Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that did not converge, 130
-stopped from the keyboard.
+Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that did not converge or a file
+that could not be written, 130 interrupted by the user.
 """
 
 import argparse
@@ -66,10 +66,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # whoever read the output has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    except OSError as error:
-        return _ended(f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", 2)
-    except KeyboardInterrupt:
-        return _ended("stopped; what was written is complete", 130)
+    except OSError as error:  # a full disk, a folder without permission
+        return _ended(f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", 1)
+    except KeyboardInterrupt as error:
+        return _ended(str(error) or "stopped; what was written is complete", 130)
     return 0
 
 

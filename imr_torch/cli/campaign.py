@@ -10,7 +10,10 @@ With your own gel, ask and tell in turn; the folder remembers everything:
   imr-torch campaign --models nhkv,gen_qkv --out gel7 --resume --tell shot1.csv   # learns, says what to shoot next
 
 Told files carry their achieved design: Rmax and R_inf are measured from the curves. A campaign that was cut off
-continues with --resume, with the same result as if it had not been.
+continues with --resume, with the same result as if it had not been. Each curve counts once; one that should not count
+is taken out again by its number, and may be told again when its file is corrected:
+
+  imr-torch campaign --models nhkv,gen_qkv --out gel7 --resume --forget 2 --tell shot2_corrected.csv
 
 What to prepare for a day in the laboratory, three designs chosen together:
 
@@ -58,10 +61,12 @@ from imr_torch.cli.common import (
 )
 from imr_torch.cli.design import add_space_arguments, plan_of, space_of
 from imr_torch.errors import InputDataError
+from imr_torch.files import remove_temporaries
 from imr_torch.material import PARAMETERS, ReferenceCase, reference_case
 from imr_torch.observe import Experiment, Layout, SimulatedLaboratory, load_traces, prepare
 from imr_torch.plot import plot_experiment, plot_information, plot_parameter, plot_probabilities
 from imr_torch.random import child
+from imr_torch.simulate import Simulator
 
 _FITS = {"exact": "map", "en4dvar": "en4dvar"}
 _BASELINES: dict[str, Callable[[], DesignPolicy]] = {"random": Random, "space-filling": SpaceFilling}
@@ -97,6 +102,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--q", type=int, default=1, help="designs to choose together, shoot and learn from at once (default 1)")
     parser.add_argument("--resume", action="store_true", help="continue the journal in --out")
     parser.add_argument("--tell", nargs="+", metavar="FILE", help="files of an experiment you made")
+    parser.add_argument(
+        "--forget",
+        type=int,
+        metavar="N",
+        help="take experiment N, in the order of telling, out of the belief; the journal keeps it and the numbers of others",
+    )
     parser.add_argument("--layout", metavar="TEXT", help="how to read told files, as for characterize")
     parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax of told files without a tail")
     add_space_arguments(parser)
@@ -106,31 +117,45 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Run a simulated campaign, or one step of a real one."""
+    """Run a simulated campaign, or one step of a real one.
+
+    Raises:
+        KeyboardInterrupt: if the user stops it, with what to do next.
+    """
+    if args.tell and args.case:
+        raise InputDataError("--tell gives real experiments and --case simulates them; give one of the two.")
+    for option in ("designs", "q"):
+        if getattr(args, option) < 1:
+            raise InputDataError(f"--{option} is {getattr(args, option)}; expected at least 1.")
+    simulator, settings = simulator_of(args), settings_of(args)
+    started = time.process_time()
+    case = reference_case(args.case) if args.case else None
+    campaign = _open(args, simulator, settings)
+    try:
+        with campaign.journal.held():
+            remove_temporaries(campaign.journal.folder, f"{args.command}.json", "*.png")
+            if case:
+                _simulated(campaign, case, args)
+            else:
+                _real(campaign, args)
+            _report(campaign, case, args, time.process_time() - started)
+    except KeyboardInterrupt:
+        kept = f"; what was finished is in {campaign.journal.path}, continue with --resume" if campaign.journal.events else ""
+        raise KeyboardInterrupt(f"interrupted{kept}") from None
+
+
+def _open(args: argparse.Namespace, simulator: Simulator, settings: CampaignSettings) -> Campaign:
+    """The campaign in ``--out``, if that is the one which the options mean to begin or to continue."""
     folder = Path(args.out)
     existing = Journal(folder).events
     if existing and not args.resume:
         raise InputDataError(
             f"{folder} holds a journal of {len(existing)} events; give --resume to continue it, or another --out."
         )
-    if args.resume and not existing:
-        raise InputDataError(f"{folder} holds no journal to resume; leave --resume away to start one.")
-    if args.designs < 1:
-        raise InputDataError(f"--designs is {args.designs}; expected at least 1.")
-    if args.q < 1:
-        raise InputDataError(f"--q is {args.q}; expected at least 1.")
-    simulator = simulator_of(args)
-    settings = settings_of(args)
-    campaign = Campaign(folder, prior_of(args), simulator, settings=settings, seed=args.seed, note={"case": args.case})
-    started = time.process_time()
-    case = reference_case(args.case) if args.case else None
-    if case:
-        if args.tell:
-            raise InputDataError("--tell gives real experiments and --case simulates them; give one of the two.")
-        _simulated(campaign, case, args)
-    else:
-        _real(campaign, args)
-    _report(campaign, case, args, time.process_time() - started)
+    if (args.resume or args.forget is not None) and not existing:
+        option = "--resume" if args.resume else "--forget"
+        raise InputDataError(f"{folder} holds no journal to resume; leave {option} away to start one.")
+    return Campaign(folder, prior_of(args), simulator, settings=settings, seed=args.seed, note={"case": args.case})
 
 
 def settings_of(args: argparse.Namespace) -> CampaignSettings:
@@ -139,8 +164,12 @@ def settings_of(args: argparse.Namespace) -> CampaignSettings:
     if args.method != "paper":
         rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
         base = replace(base, learner=ExactLearner(options=METHODS[_FITS[args.method]], noise_rounds=rounds))
-    policy = _policy(args.policy, base.policy, args.evaluations)
-    return replace(base, space=space_of(args), plan=plan_of(args), policy=policy, stop=stopping_rule(*args.stop))
+    policy, space = _policy(args.policy, base.policy, args.evaluations), space_of(args)
+    if isinstance(policy, Fixed):
+        space.check(torch.tensor(policy.designs, dtype=torch.float64))
+        if args.case and not args.stop and args.designs > len(policy.designs):
+            raise InputDataError(f"--policy lists {len(policy.designs)} designs and --designs is {args.designs}; list as many.")
+    return replace(base, space=space, plan=plan_of(args), policy=policy, stop=stopping_rule(*args.stop))
 
 
 def _policy(text: str, optimal: DesignPolicy, evaluations: int) -> DesignPolicy:
@@ -172,12 +201,14 @@ def _simulated(campaign: Campaign, case: ReferenceCase, args: argparse.Namespace
             )
         return laboratory.shoot(design, seed=child(args.seed, "shoot", number))
 
+    if args.forget is not None:
+        campaign.forget(args.forget, progress=progress)
     campaign.run(shoot, args.designs, q=args.q, progress=progress)
 
 
 def _real(campaign: Campaign, args: argparse.Namespace) -> None:
     """Learn from told files, then say what to shoot next."""
-    progress = progress_of(args)
+    progress, experiments = progress_of(args), ()
     if args.tell:
         traces = load_traces(*args.tell, layout=Layout.from_text(args.layout) if args.layout else None)
         print(traces.report())
@@ -185,7 +216,12 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> None:
         prepared = prepare(traces, surroundings, rest_radius=parse_pair(args.rest_radius, "--rest-radius"))
         print(prepared.report())
         experiments = prepared.experiments
+    if args.forget is not None:
+        campaign.forget(args.forget, progress=progress)
+    if experiments:
         campaign.tell(*experiments, progress=progress)
+    elif campaign.outstanding:  # the last run was cut off while it learnt
+        campaign.learn(progress=progress)
     if reason := campaign.reason_to_stop():
         print(f"Enough: {reason}")
         return
@@ -205,6 +241,7 @@ def _report(campaign: Campaign, case: ReferenceCase | None, args: argparse.Names
     belief = campaign.belief
     document: dict[str, Any] = {
         "designs": [list(e.design) for e in campaign.experiments],
+        "experiments": campaign.numbers,
         "relative_error": {},
         "model_probabilities": belief.probabilities,
         "intervals": {part.model: intervals(part) for part in belief.models},
@@ -237,14 +274,14 @@ def _figures(campaign: Campaign, case: ReferenceCase | None) -> None:
         shown = [(label, belief[best.model]) for label, belief in (history[0], *history[1:][-3:])]
         truth = case.truth.get(name) if case and case.truth_model == best.model else None
         save_figure(plot_parameter(shown, name, truth=truth), folder, f"parameter_{name}")
-    for number in range(1, len(campaign.experiments) + 2):
+    for number in range(1, campaign.told + 2):
         search = campaign.search(number)
         if search:
             save_figure(plot_information(search), folder, f"information_{number:03d}")
     last = campaign.steps[-1] if campaign.steps else None
     if last and last.assimilation:
         band = predictive_band(last.assimilation, last.belief, campaign.simulator, best.model)
-        for e, experiment in enumerate(last.assimilation.batch.experiments):
+        for e, (number, experiment) in enumerate(zip(campaign.numbers, last.assimilation.batch.experiments, strict=True)):
             axes = plot_experiment(experiment, (band[0][e], band[1][e], band[2][e]))
-            save_figure(axes, folder, f"curve_{e + 1:03d}")
+            save_figure(axes, folder, f"curve_{number:03d}")
     print(f"figures and journal in {folder}")

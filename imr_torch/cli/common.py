@@ -1,6 +1,7 @@
 """What the subcommands share: priors from options, progress, and where results go."""
 
 import argparse
+import math
 import sys
 import time
 from dataclasses import replace
@@ -14,7 +15,7 @@ from matplotlib.axes import Axes
 
 from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.errors import InputDataError
-from imr_torch.files import write_json
+from imr_torch.files import write_atomically, write_json
 from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
 from imr_torch.simulate import (
     ACCURACIES,
@@ -153,6 +154,8 @@ def parse_pair(text: str | None, option: str) -> tuple[float, float] | None:
         return None
     try:
         first, second = (float(x) for x in text.split(":"))
+        if not (math.isfinite(first) and math.isfinite(second)):
+            raise ValueError("not finite")
     except ValueError:
         raise InputDataError(f"{option}: {text!r} is not VALUE:VALUE, for example 0.2:0.1.") from None
     return first, second
@@ -176,7 +179,7 @@ def save_figure(ax: Axes, folder: Path, name: str) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}.png"
     figure = ax.figure
-    figure.savefig(path, dpi=150)  # type: ignore[union-attr]
+    write_atomically(path, lambda stream: figure.savefig(stream, dpi=150, format="png"))  # type: ignore[union-attr]
     plt.close(figure)  # type: ignore[arg-type]
     return path
 

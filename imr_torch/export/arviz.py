@@ -192,7 +192,8 @@ def _history(campaign: Campaign) -> Variables:
     """Design, probabilities and evidences of every step."""
     steps = campaign.steps
     numbers = [step.number for step in steps]
-    designs = [campaign.experiments[number - 1].design for number in numbers]
+    told = dict(zip(campaign.numbers, campaign.experiments, strict=True))
+    designs = [told[number].design for number in numbers]
     logs = torch.stack([step.belief.log_probabilities for step in steps])
     known = all(step.evidence for step in steps)  # the published way to learn has none
     values, errors = ([[getattr(e, name) for e in step.evidence] for step in steps] for name in ("value", "error"))

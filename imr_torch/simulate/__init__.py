@@ -15,7 +15,7 @@ from imr_torch.simulate.driving import Driving, GaussianPulse, LawDriving, SineD
 from imr_torch.simulate.engines import ENGINES, Engine
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import METHOD, TransportField
-from imr_torch.simulate.parallel import ParallelSimulator, process_pool, with_inner
+from imr_torch.simulate.parallel import ParallelSimulator, described, process_pool, with_inner
 from imr_torch.simulate.polytropic import PolytropicSimulator
 from imr_torch.simulate.radial import (
     RADIAL_EQUATIONS,
@@ -79,6 +79,7 @@ __all__ = [
     "check_designs",
     "check_times",
     "coarser",
+    "described",
     "preset",
     "process_pool",
     "sensitivities",

@@ -8,13 +8,17 @@ and results travel as NumPy arrays; workers compute on the CPU.
 
 import math
 import os
+import re
+import signal
 import socket
+import threading
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from copy import copy
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.process import BaseProcess
 
 import numpy as np
 import torch
@@ -51,7 +55,21 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
     """
     if workers < 1:
         raise InputDataError(f"process_pool: workers is {workers}; expected at least 1.")
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_prepare_worker)
+
+
+def _prepare_worker() -> None:
+    """Leave Ctrl-C, which reaches all processes of a terminal, to the process that started this one, and end when that ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: BaseProcess) -> None:
+    """End this process, whatever it does, when another one has ended."""
+    parent.join()
+    os._exit(1)
 
 
 def with_inner(simulator: Simulator, change: Callable[[Simulator], Simulator]) -> Simulator:
@@ -67,6 +85,20 @@ def with_inner(simulator: Simulator, change: Callable[[Simulator], Simulator]) -
     alike, inner = copy(simulator), with_inner(simulator.simulator, change)
     alike.simulator = inner
     return simulator if inner is simulator.simulator else alike
+
+
+def described(simulator: Simulator) -> str:
+    """What a simulator computes, as text: without its workers, which change no bit, and without addresses in memory.
+
+    >>> from functools import partial
+    >>> from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, described, process_pool
+    >>> alone = PolytropicSimulator()
+    >>> described(ParallelSimulator(alone, partial(process_pool, 2))) == described(alone)
+    True
+    """
+    while isinstance(simulator, ParallelSimulator):
+        simulator = simulator.simulator
+    return re.sub(r" at 0x[0-9a-fA-F]+", "", f"{type(simulator).__name__} {simulator!r}")
 
 
 class ParallelSimulator:

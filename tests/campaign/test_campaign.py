@@ -15,6 +15,7 @@ from imr_torch.material import PARAMETERS, Belief, reference_case
 from imr_torch.observe import Experiment, Noise, Nuisance, SimulatedLaboratory
 from imr_torch.random import child
 from imr_torch.simulate import PolytropicSimulator, Stepping
+from tests.journals import cut
 
 CASE = reference_case("soft-pa")
 SIMULATOR = PolytropicSimulator(stepping=Stepping(0.25))
@@ -55,22 +56,18 @@ def test_the_belief_closes_in_on_the_truth(finished):
 
 def test_the_journal_holds_what_was_asked_measured_and_concluded(finished):
     kinds = [event["event"] for event in Journal(finished.journal.folder).events]
-    assert kinds == ["start", "ask", "experiment", "belief", "ask", "experiment", "belief"]
+    assert kinds == ["start", "ask", "observed", "learnt", "ask", "observed", "learnt"]
     asked = finished.journal.find("ask", 1)
     assert len(asked["evaluations"]) == SETTINGS.policy.evaluations
     assert asked["design"] == pytest.approx(list(finished.experiments[0].design))
-    assert {"nhkv", "gen_qkv"} == set(finished.journal.find("belief", 2)["certificates"])
+    assert {"nhkv", "gen_qkv"} == set(finished.journal.find("learnt", 2)["certificates"])
 
 
 @pytest.mark.parametrize("events", [1, 2, 3, 5, 6, 7], ids=lambda n: f"cut after event {n}")
 def test_resuming_gives_the_uninterrupted_journal_byte_for_byte(finished, tmp_path, events):
-    lines = finished.journal.path.read_bytes().splitlines(keepends=True)
-    shutil.copytree(finished.journal.folder, tmp_path / "cut")
-    torn = lines[events][: len(lines[events]) // 2] if events < len(lines) else b""
-    (tmp_path / "cut" / "journal.jsonl").write_bytes(b"".join(lines[:events]) + torn)
-    resumed = campaign(tmp_path / "cut")
+    resumed = campaign(cut(finished.journal.folder, tmp_path / "cut", events, torn=0.5))
     resumed.run(shoot, 2)
-    assert resumed.journal.path.read_bytes() == b"".join(lines)
+    assert resumed.journal.path.read_bytes() == finished.journal.path.read_bytes()
     assert resumed.belief.to_dict() == finished.belief.to_dict()
 
 

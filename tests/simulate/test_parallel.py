@@ -2,6 +2,9 @@
 
 import os
 import re
+import subprocess
+import sys
+import time
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -296,3 +299,23 @@ def test_bad_options_are_refused(make, text):
 def test_a_process_pool_has_fresh_processes(pool):
     assert isinstance(pool, ProcessPoolExecutor)
     assert pool.submit(os.getpid).result() != os.getpid()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills a process by its number")
+def test_that_workers_end_with_a_process_that_is_killed():
+    script = (
+        "import os, signal\n"
+        "from imr_torch.simulate import process_pool\n"
+        "print(process_pool(1).submit(os.getpid).result(), flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, env=environment, timeout=120)
+    worker = int(done.stdout)
+    for _ in range(200):
+        try:
+            os.kill(worker, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    pytest.fail(f"worker {worker} outlived the process that started it")

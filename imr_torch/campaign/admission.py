@@ -1,0 +1,53 @@
+"""Whether a curve can be simulated under a belief, asked before it enters a journal.
+
+A curve whose times or size are in another unit is found by the bubbles of the belief: they fail, or collapse at another time
+than the curve does by orders of magnitude.
+"""
+
+import math
+
+import torch
+
+from imr_torch.errors import InputDataError
+from imr_torch.material import Belief
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, collapse_time, predict
+from imr_torch.random import child
+from imr_torch.simulate import Simulator
+
+_DRAWS = 8
+_RAYLEIGH = 0.915  # dimensionless time of the first collapse of an empty bubble (Rayleigh, Phil. Mag. 34, 1917)
+_FACTOR = 30.0
+
+
+def check_simulated(belief: Belief, experiment: Experiment, simulator: Simulator, noise: Noise, seed: int) -> None:
+    """Raise unless at least one gel of the belief gives a curve at the design and times of an experiment.
+
+    Args:
+        belief: eight gels of each model are drawn from it.
+        experiment: cut to the window that is assimilated.
+        simulator: makes the bubbles.
+        noise: law of the observation noise.
+        seed: of the draws.
+
+    Raises:
+        InputDataError: if no bubble could be simulated, or the curve collapses 30 times earlier or later than an empty bubble.
+    """
+    name, (weber, rest) = f"Experiment {experiment.label!r}", experiment.design
+    collapse, last = collapse_time(experiment.times, experiment.mean, 1), float(experiment.times[-1])
+    late = _FACTOR * _RAYLEIGH < collapse < math.inf
+    if late or (collapse < _RAYLEIGH / _FACTOR and last < _RAYLEIGH):
+        raise InputDataError(
+            f"{name} collapses first at a dimensionless time of {collapse:.3g}; bubbles do near {_RAYLEIGH}. Its times or its "
+            "radii are in another unit than stated: correct the file or its layout, and tell it again."
+        )
+    batch = ExperimentBatch((experiment,), noise)
+    for part in belief.models:
+        controls = part.controls(_DRAWS, seed=child(seed, "admission"))
+        with torch.no_grad():
+            radius = predict(simulator, part.parameters(controls), batch)
+        if bool(torch.isfinite(radius).all(-1).any()):
+            return
+    raise InputDataError(
+        f"{name} at (We, R_inf*) = ({weber:g}, {rest:g}) and times up to {last:.3g} cannot be simulated: all {_DRAWS} gels "
+        f"drawn of each of {', '.join(belief.keys)} failed. Check Rmax, R_inf and the units of the file; nothing was recorded."
+    )

@@ -1,0 +1,67 @@
+"""How a campaign chooses, learns and ends, and how that is written down in its journal."""
+
+import json
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
+
+from torch import Tensor
+
+from imr_torch.campaign.learners import ExactLearner, Learner, PaperLearner
+from imr_torch.campaign.policies import PAPER_OPTIMAL, DesignPolicy, Optimal
+from imr_torch.campaign.stopping import StoppingRule
+from imr_torch.design import DesignSpace, Plan
+from imr_torch.errors import InputDataError
+
+
+@dataclass(frozen=True)
+class CampaignSettings:
+    """How a campaign chooses, learns and ends.
+
+    Args:
+        space: designs that may be asked for.
+        plan: how each experiment will be observed.
+        policy: chooses designs.
+        learner: turns experiments into a belief.
+        stop: ends the campaign; None to go on as long as :meth:`Campaign.run` is asked to.
+
+    >>> from imr_torch.campaign import CampaignSettings, Designs, SpaceFilling
+    >>> settings = CampaignSettings(policy=SpaceFilling(), stop=Designs(5))
+    >>> settings.to_dict()["stop"]
+    {'kind': 'Designs', 'count': 5}
+    """
+
+    space: DesignSpace = field(default_factory=DesignSpace)
+    plan: Plan = field(default_factory=lambda: Plan(repeats=100))
+    policy: DesignPolicy = field(default_factory=Optimal)
+    learner: Learner = field(default_factory=ExactLearner)
+    stop: StoppingRule | None = None
+
+    @classmethod
+    def paper(cls) -> "CampaignSettings":
+        """Everything as in arXiv 2409.00011, defects included: its search, assimilation and model probability."""
+        return cls(policy=PAPER_OPTIMAL, learner=PaperLearner())
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready values, with the kind of every part."""
+        return _described(self)
+
+
+def _described(value: Any) -> Any:
+    """A dataclass and what it is made of as JSON-ready values."""
+    if is_dataclass(value):
+        return {"kind": type(value).__name__} | {f.name: _described(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, tuple):
+        return [_described(part) for part in value]
+    return value.tolist() if isinstance(value, Tensor) else value
+
+
+def through_json(document: dict[str, Any]) -> dict[str, Any]:
+    """As it will read when it comes back from the journal."""
+    for name, part in document.items():
+        try:
+            json.dumps(part, allow_nan=False)
+        except (ValueError, TypeError) as error:
+            raise InputDataError(
+                f"Campaign: {name} cannot be written to a journal ({error}); give finite numbers, text, or dataclasses of them."
+            ) from None
+    return json.loads(json.dumps(document))

@@ -1,0 +1,232 @@
+"""A journal is append-only: what was cut off is repaired, what was changed is refused by line, and one process writes at a time."""
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from benchmarks.interruptions import Disk, forked
+from imr_torch.campaign import Journal
+from imr_torch.errors import InputDataError
+from tests.journals import cut, rewritten
+
+COUNT = 5
+needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    journal = Journal(tmp_path / "whole")
+    for number in range(COUNT):
+        journal.append("note", step=number, value=0.1 * number)
+    return journal.folder
+
+
+def swapped(lines):
+    return [lines[0], lines[2], lines[1], *lines[3:]]
+
+
+CHANGES = {
+    "edited": (lambda x: [*x[:2], x[2].replace(b'"step": 2', b'"step": 7'), *x[3:]], "line 3: its checksum does not fit"),
+    "a bit of a number": (lambda x: [x[0], x[1].replace(b"0.1", b"0.10000000000000002"), *x[2:]], "line 2: its checksum"),
+    "edited at the end": (lambda x: [*x[:4], x[4].replace(b'"step": 4', b'"step": 7')], "line 5: its checksum does not fit"),
+    "spaced": (lambda x: [x[0].replace(b'"step": 0', b'"step":  0'), *x[1:]], "line 1: its checksum does not fit"),
+    "swapped": (swapped, "line 2: its checksum does not fit"),
+    "duplicated": (lambda x: [*x[:3], x[2], *x[3:]], "line 4: a copy of line 3"),
+    "duplicated at the end": (lambda x: [*x, x[4]], "line 6: a copy of line 5"),
+    "removed": (lambda x: [*x[:2], *x[3:]], "line 3: its checksum does not fit"),
+    "first removed": (lambda x: x[1:], "line 1: its checksum does not fit"),
+    "last removed": (lambda x: x[:4], r"4 whole lines and journal.head says that 5 were written.*delete journal.head"),
+    "all removed": (lambda x: [], "0 whole lines and journal.head says that 5"),
+    "five": (lambda x: [x[0], b"5\n", *x[2:]], r"line 2: not a journal entry \(expected an object with an 'event', got '5'"),
+    "null": (lambda x: [*x, b"null\n"], "line 6: not a journal entry .*got 'null'"),
+    "empty object": (lambda x: [*x, b"{}\n"], "line 6: not a journal entry .*got '{}'"),
+    "list": (lambda x: [*x, b"[]\n"], "line 6: not a journal entry"),
+    "empty line": (lambda x: [x[0], b"\n", *x[1:]], "line 2: not a journal entry"),
+    "no text": (lambda x: [*x, b"\xff\xfe\n"], "line 6: not a journal entry"),
+    "nested": (lambda x: [*x, b"[" * 100000 + b"\n"], "line 6: not a journal entry"),
+    "without check": (lambda x: [b'{"event": "note"}\n', *x[1:]], "line 1: has no checksum .*earlier version of imr_torch"),
+    "NaN": (lambda x: [*x, b'{"event": "note", "value": NaN, "check": "0"}\n'], "line 6: its checksum does not fit"),
+}
+
+
+@pytest.mark.parametrize(("change", "message"), CHANGES.values(), ids=CHANGES)
+def test_a_changed_journal_is_refused_by_line_and_with_a_remedy(folder, change, message):
+    path = folder / "journal.jsonl"
+    path.write_bytes(b"".join(change(path.read_bytes().splitlines(keepends=True))))
+    before = path.read_bytes()
+    with pytest.raises(InputDataError, match=message) as refused:
+        Journal(folder)
+    assert "journal.jsonl" in str(refused.value)
+    assert "Restore it from a copy" in str(refused.value)
+    assert path.read_bytes() == before
+
+
+def test_that_without_its_head_all_but_lines_removed_at_the_end_is_found(folder):
+    (folder / "journal.head").unlink()
+    path = folder / "journal.jsonl"
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[:3]))
+    assert len(Journal(folder).events) == 3
+    path.write_bytes(b"".join(lines[1:]))
+    with pytest.raises(InputDataError, match="line 1: its checksum"):
+        Journal(folder)
+
+
+def test_a_journal_in_place_of_another_is_refused(folder, tmp_path):
+    other = Journal(tmp_path / "other")
+    for number in range(COUNT):
+        other.append("note", step=number, value=7.0)
+    (folder / "journal.jsonl").write_bytes(other.path.read_bytes())
+    with pytest.raises(InputDataError, match=r"line 5: not the line that journal.head says"):
+        Journal(folder)
+    for text in ("5", "{}", "", '{"lines": "5", "check": ""}'):
+        (folder / "journal.head").write_text(text)
+        with pytest.raises(InputDataError, match=r"journal.head: cannot be read .*or delete it"):
+            Journal(folder)
+
+
+START = {"event": "start", "prior": {}, "simulator": "", "settings": {}, "seed": 0, "note": {}}
+RECORD = {"number": 1, "label": "", "design": [], "nuisance": {}, "curve": "", "file": "", "sha256": ""}
+
+
+@pytest.mark.parametrize(
+    ("event", "message"),
+    [
+        ({"event": "ask", "step": 1}, "line 2: event 'ask' has no 'design'"),
+        ({"event": "stop", "step": "1", "reason": ""}, "line 2: event 'stop': step is '1'; expected int"),
+        ({"event": "stop", "step": True, "reason": ""}, "step is True; expected int"),
+        ({"event": "forget"}, "event 'forget' has no 'experiment'"),
+        ({"event": "observed", "step": 1, "experiments": [5]}, "an experiment of event 'observed' is 5; expected an object"),
+        ({"event": "observed", "step": 1, "experiments": [RECORD | {"file": None}]}, "file is None; expected str"),
+        ({"event": "learnt", "step": 1, "experiments": [1], "belief": None, "evidence": []}, "belief is None; expected dict"),
+    ],
+    ids=str,
+)
+def test_an_event_that_lacks_what_it_needs_is_refused(tmp_path, event, message):
+    rewritten(tmp_path, [START, event])
+    with pytest.raises(InputDataError, match=message):
+        Journal(tmp_path)
+
+
+def test_that_a_line_cut_at_any_byte_is_left_out_and_then_repaired(folder, tmp_path):
+    whole = (folder / "journal.jsonl").read_bytes()
+    last = whole.splitlines(keepends=True)[-1]
+    for cut_at in range(len(last)):
+        copy = cut(folder, tmp_path / f"cut{cut_at}", COUNT - 1, torn=(cut_at + 0.5) / len(last))
+        before = (copy / "journal.jsonl").read_bytes()
+        journal = Journal(copy)
+        assert (copy / "journal.jsonl").read_bytes() == before == whole[: len(whole) - len(last) + cut_at]
+        if len(journal.events) < COUNT:
+            journal.append("note", step=COUNT - 1, value=0.1 * (COUNT - 1))
+        else:  # nothing but the end of the line was missing
+            assert cut_at == len(last) - 1
+            with journal.held():
+                pass
+        assert (copy / "journal.jsonl").read_bytes() == whole
+        assert len(Journal(copy).events) == COUNT
+
+
+def test_that_a_line_that_was_written_and_then_damaged_is_not_taken_for_one_that_was_cut_off(folder):
+    path = folder / "journal.jsonl"
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(InputDataError, match=r"4 whole lines and journal.head says that 5 were written"):
+        Journal(folder)
+
+
+def test_that_a_second_writer_is_told_who_holds_the_folder(folder):
+    first, second = Journal(folder), Journal(folder)
+    with first.held(), first.held():
+        with pytest.raises(InputDataError, match=rf"whole is in use by another campaign \(process {os.getpid()} on "):
+            second.append("note")
+        first.append("note", text="mine")
+    assert len(Journal(folder).events) == COUNT + 1
+
+
+def test_that_what_was_opened_before_another_wrote_must_be_opened_again(folder):
+    first, second = Journal(folder), Journal(folder)
+    first.append("note")
+    with pytest.raises(InputDataError, match="was written to since it was opened here; open the campaign again"):
+        second.append("note")
+    first.append("note")
+    assert len(Journal(folder).events) == COUNT + 2
+    first.path.unlink()
+    with pytest.raises(InputDataError, match="was removed since it was opened"):
+        first.append("note")
+
+
+@needs_fork
+def test_that_the_lock_ends_with_a_killed_process(folder):
+    def work() -> int:
+        with Journal(folder).held():
+            os.kill(os.getpid(), signal.SIGKILL)
+        return 0
+
+    assert forked(work).code == -signal.SIGKILL
+    assert ".journal.owner" in os.listdir(folder)
+    Journal(folder).append("note")
+
+
+def test_that_temporary_files_of_a_killed_process_are_removed_and_others_are_not(folder):
+    left, mine = [".journal.head.ab.tmp", ".experiment_003.npz.cd.tmp"], [".notes.tmp", "experiment_003.npz"]
+    for name in left + mine:
+        (folder / name).touch()
+    Journal(folder)
+    assert set(left) <= set(os.listdir(folder))
+    Journal(folder).append("note")
+    assert not set(left) & set(os.listdir(folder))
+    assert set(mine) <= set(os.listdir(folder))
+
+
+def test_that_a_disk_that_is_full_from_any_operation_on_leaves_the_journal_as_before_or_with_the_event(folder):
+    with Disk().watched() as counted:
+        Journal(folder).append("note")
+    assert counted.done > 8
+    for at in range(1, counted.done + 1):
+        journal, known = Journal(folder), len(Journal(folder).events)
+        before = journal.path.read_bytes()
+        said = None
+        try:
+            with Disk(at, "full").watched():
+                journal.append("note", text=f"try {at}")
+        except OSError as error:
+            said = str(error)
+        assert said is None or ("the last event was not recorded" in said and journal.path.read_bytes() == before)
+        assert [len(x.events) for x in (journal, Journal(folder))] in ([known] * 2, [known + 1] * 2)
+        journal.append("note", text=f"again {at}")  # the same object may go on once there is room
+
+
+def test_that_an_interrupt_in_a_write_leaves_the_journal_as_before(folder, monkeypatch):
+    journal, before = Journal(folder), (folder / "journal.jsonl").read_bytes()
+
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            journal.append("note")
+    assert journal.path.read_bytes() == before
+    journal.append("note")
+
+
+def test_that_a_number_that_is_not_finite_is_refused_before_anything_is_written(folder):
+    before = (folder / "journal.jsonl").read_bytes()
+    with pytest.raises(InputDataError, match="Event 'note' holds a number that is not finite"):
+        Journal(folder).append("note", value=float("nan"))
+    assert (folder / "journal.jsonl").read_bytes() == before
+
+
+def test_that_the_head_knows_the_last_line(folder):
+    last = json.loads((folder / "journal.jsonl").read_text().splitlines()[-1])
+    assert json.loads((folder / "journal.head").read_text()) == {"lines": COUNT, "check": last["check"]}
+
+
+def test_that_a_head_that_lags_behind_is_written_when_the_folder_is_next_held(folder, tmp_path):
+    copy = cut(folder, tmp_path / "cut", COUNT - 1)
+    (copy / "journal.jsonl").write_bytes((folder / "journal.jsonl").read_bytes())
+    with Journal(copy).held():
+        pass
+    assert (copy / "journal.head").read_bytes() == (folder / "journal.head").read_bytes()

@@ -1,0 +1,328 @@
+"""What may enter a journal, how it is taken out again, and what is learnt when a campaign was cut off in between."""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import pytest
+import torch
+
+from imr_torch.assimilate import PublishedOptions, SearchOptions
+from imr_torch.campaign import (
+    Campaign,
+    CampaignSettings,
+    ExactLearner,
+    Fixed,
+    Journal,
+    PaperLearner,
+    Random,
+    SpaceFilling,
+    Study,
+    run_campaigns,
+)
+from imr_torch.design import DesignSpace, Plan
+from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import Experiment, Nuisance, SimulatedLaboratory
+from imr_torch.simulate import Conditions, ParallelSimulator, PolytropicSimulator, process_pool
+from tests.journals import cut, rewritten
+from tests.linear import NOISE, LinearSimulator, prior, tensor
+from tests.stubs import StubLearner
+
+PLAN = Plan(torch.linspace(0.1, 2.0, 9, dtype=torch.float64), repeats=2, noise=NOISE, collapses=None)
+EXACT = ExactLearner(32, SearchOptions(scouts=24))
+LABORATORY = SimulatedLaboratory(
+    LinearSimulator(), PARAMETERS.pack({"G": 5600.0, "mu": 0.18}), noise=NOISE, repeats=2, times=PLAN.times
+)
+CURVES = [LABORATORY.shoot(tensor(300.0 + 100.0 * n, 0.2), seed=n) for n in range(4)]
+
+
+def campaign(folder, *, simulator=None, seed: int = 0, **settings) -> Campaign:
+    settings = {"space": DesignSpace(), "plan": PLAN, "policy": Random(), "learner": StubLearner()} | settings
+    return Campaign(
+        folder, prior(("newtonian", "nhkv")), simulator or LinearSimulator(), settings=CampaignSettings(**settings), seed=seed
+    )
+
+
+def kinds(run: Campaign) -> list[str]:
+    return [event["event"] for event in run.journal.events]
+
+
+def test_that_opening_a_campaign_writes_nothing(tmp_path):
+    campaign(tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("again", [False, True], ids=["same object", "opened again"])
+def test_that_a_curve_that_was_told_is_refused_with_its_number_and_the_way_out(tmp_path, again):
+    run = campaign(tmp_path)
+    run.tell(CURVES[0])
+    run.tell(CURVES[1])
+    before = run.journal.path.read_bytes()
+    run = campaign(tmp_path) if again else run
+    copy = replace(CURVES[1], label="copy", design=(777.0, 0.25), nuisance=Nuisance(rest_radius=0.1))
+    with pytest.raises(InputDataError, match=r"'copy' has the curve of experiment 2 .*forget it first: .*--forget 2"):
+        run.tell(CURVES[2], copy)
+    assert run.journal.path.read_bytes() == before
+    assert len(run.experiments) == 2
+    run.forget(2)
+    assert run.tell(copy).number == 3
+
+
+def test_that_a_curve_given_twice_at_once_is_refused(tmp_path):
+    run = campaign(tmp_path)
+    with pytest.raises(InputDataError, match="have the same curve, which counts once"):
+        run.tell(CURVES[0], replace(CURVES[0], label="copy"))
+    assert kinds(run) == []
+
+
+def test_that_a_curve_told_and_not_learnt_is_refused_and_says_so(tmp_path):
+    campaign(tmp_path / "whole").tell(CURVES[0])
+    run = campaign(cut(tmp_path / "whole", tmp_path / "cut", 2))
+    with pytest.raises(InputDataError, match="not learnt yet; resuming without telling it again does so"):
+        run.tell(CURVES[0])
+
+
+def test_that_what_was_told_and_not_learnt_is_learnt_before_anything_else(tmp_path):
+    whole = campaign(tmp_path / "whole")
+    whole.tell(CURVES[0])
+    whole.tell(CURVES[1])
+    whole.ask()
+    assert kinds(whole) == ["start", "observed", "learnt", "observed", "learnt", "ask"]
+    for name, act in {"ask": Campaign.ask, "learn": Campaign.learn, "run": lambda c: c.run(None, 2)}.items():
+        run = campaign(cut(tmp_path / "whole", tmp_path / name, 4))
+        assert run.outstanding == (2,)
+        assert run.belief.to_dict() == whole.steps[0].belief.to_dict()
+        said: list[str] = []
+        act(run)
+        assert run.outstanding == ()
+        assert run.belief.to_dict() == whole.belief.to_dict(), said
+        assert kinds(run)[:5] == kinds(whole)[:5]
+    run = campaign(cut(tmp_path / "whole", tmp_path / "tell", 2))
+    run.tell(CURVES[1])
+    run.ask()
+    assert run.journal.path.read_bytes() == whole.journal.path.read_bytes()
+
+
+def test_that_learning_twice_learns_once_and_from_nothing_is_refused(tmp_path):
+    run = campaign(tmp_path)
+    with pytest.raises(InputDataError, match="no experiment to learn from"):
+        run.learn()
+    step = run.tell(CURVES[0])
+    assert run.learn() is step
+    assert kinds(run) == ["start", "observed", "learnt"]
+
+
+@pytest.mark.parametrize("learner", [EXACT, PaperLearner(PublishedOptions(12, 2, 2))], ids=["exact", "paper"])
+def test_that_after_forgetting_the_belief_is_that_of_the_other_curves(tmp_path, learner):
+    run = campaign(tmp_path / "all", learner=learner)
+    run.tell(CURVES[0])
+    run.tell(CURVES[3])
+    run.tell(CURVES[1])
+    step = run.forget(2)
+    others = campaign(tmp_path / "others", learner=learner)
+    others.tell(CURVES[0])
+    others.tell(CURVES[1])
+    assert run.belief.to_dict() == others.belief.to_dict()
+    again = campaign(tmp_path / "all", learner=learner)
+    for known in (run, again):
+        assert known.belief.to_dict() == others.belief.to_dict()
+        assert (known.numbers, known.told, [s.number for s in known.steps]) == ([1, 3], 3, [1, 3])
+        assert [e.design for e in known.experiments] == [CURVES[0].design, CURVES[1].design]
+    assert step.number == 3
+    assert (tmp_path / "all" / "experiment_002.npz").exists()
+    assert run.tell(CURVES[2]).number == 4
+
+
+def test_that_forgetting_the_last_curve_goes_back_to_the_step_before_without_learning_again(tmp_path):
+    run = campaign(tmp_path)
+    first = run.tell(CURVES[0])
+    run.tell(CURVES[1])
+    assert run.forget(2) is first
+    assert kinds(run)[-1] == "forget"
+    assert run.forget(1) is None
+    assert run.belief.to_dict() == run.prior.to_dict()
+    assert campaign(tmp_path).experiments == []
+
+
+def test_that_one_of_several_curves_told_together_can_be_forgotten(tmp_path):
+    run = campaign(tmp_path / "all")
+    run.tell(CURVES[0], CURVES[1])
+    run.forget(2)
+    other = campaign(tmp_path / "other")
+    other.tell(CURVES[0])
+    assert run.belief.to_dict() == other.belief.to_dict()
+    assert campaign(tmp_path / "all").steps[-1].number == 1
+
+
+def test_that_designs_asked_for_with_a_forgotten_curve_in_the_belief_are_asked_for_anew(tmp_path):
+    @dataclass(frozen=True)
+    class Follows(Random):
+        def choose(self, situation, *, progress=None):
+            found = super().choose(situation, progress=progress)
+            return replace(found, gain=float(situation.belief.best.mean.sum()))
+
+    run = campaign(tmp_path, policy=Follows())
+    run.tell(CURVES[0])
+    run.tell(CURVES[1])
+    before = run.ask()
+    assert run.ask().gain == before.gain
+    run.forget(2)
+    assert run.ask().gain != before.gain
+    assert run.ask().step == before.step == 3
+    assert kinds(run)[-2:] == ["forget", "ask"]
+
+
+@pytest.mark.parametrize("number", [0, 3, -1])
+def test_that_an_unknown_experiment_cannot_be_forgotten(tmp_path, number):
+    run = campaign(tmp_path)
+    run.tell(CURVES[0])
+    run.tell(CURVES[1])
+    with pytest.raises(InputDataError, match=rf"no experiment {number} to forget .*it counts 1 \('.*'\), 2 \('.*'\)"):
+        run.forget(number)
+    run.forget(2)
+    with pytest.raises(InputDataError, match="no experiment 2 to forget"):
+        run.forget(2)
+
+
+def test_that_a_curve_that_cannot_be_simulated_is_not_recorded(tmp_path):
+    run = campaign(tmp_path, simulator=LinearSimulator(fails=True))
+    with pytest.raises(InputDataError, match=r"cannot be simulated: all 8 gels drawn of each of newtonian, nhkv failed"):
+        run.tell(CURVES[0])
+    assert not run.journal.path.exists()
+    assert list(tmp_path.glob("*.npz")) == []
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3], ids=["milliseconds read as seconds", "seconds read as milliseconds"])
+def test_that_a_curve_whose_times_are_in_another_unit_is_not_recorded(tmp_path, factor):
+    simulator, times = PolytropicSimulator(), torch.linspace(0.0, 3.0, 31, dtype=torch.float64)
+    gel = PARAMETERS.pack({"G": 5600.0, "mu": 0.1})
+    radius = simulator(gel, tensor(400.0, 0.2), times).radius
+    good = Experiment("good", (400.0, 0.2), times, radius.reshape(1, -1))
+    run = campaign(tmp_path, simulator=simulator)
+    with pytest.raises(
+        InputDataError, match=r"'bad' collapses first at a dimensionless time of .* in another unit than stated"
+    ):
+        run.tell(replace(good, label="bad", times=factor * times))
+    assert not run.journal.path.exists()
+    run.tell(good)
+    assert run.numbers == [1]
+
+
+def test_that_a_curve_the_learner_cannot_take_is_not_recorded(tmp_path):
+    run = campaign(tmp_path, learner=PaperLearner())
+    with pytest.raises(InputDataError, match="takes designs and clocks as exact"):
+        run.tell(replace(CURVES[0], nuisance=Nuisance(time_zero=0.1)))
+    assert not run.journal.path.exists()
+
+
+def test_that_learning_that_fails_names_the_curve_and_forgetting_it_goes_on(tmp_path):
+    loud = replace(CURVES[1], radius=CURVES[1].radius + 5.0)
+    run = campaign(tmp_path, learner=StubLearner(fails_above=3.0))
+    run.tell(CURVES[0])
+    with pytest.raises(ConvergenceError, match=r"did not converge.*experiment 2, which is in the journal.*--forget 2"):
+        run.tell(loud)
+    run = campaign(tmp_path, learner=StubLearner(fails_above=3.0))
+    with pytest.raises(ConvergenceError, match="--forget 2"):
+        run.ask()
+    run.forget(2)
+    run.ask()
+    assert run.outstanding == ()
+
+
+def test_that_a_refused_campaign_leaves_no_journal_that_refuses_the_corrected_one(tmp_path):
+    with pytest.raises(InputDataError, match="is outside"):
+        campaign(tmp_path, policy=Fixed(((5000.0, 0.2),))).ask()
+    assert campaign(tmp_path, policy=Fixed(((500.0, 0.2),))).ask().step == 1
+
+
+@pytest.mark.parametrize("bad", [(float("nan"), 0.2), (400.0, float("nan")), (400.0, 1.5), (float("inf"), 0.2)], ids=str)
+def test_that_a_listed_design_that_cannot_be_is_refused(bad):
+    with pytest.raises(InputDataError, match=r"expected We > 0 and 0 < R_inf\* < 1"):
+        Fixed(((300.0, 0.2), bad))
+
+
+def test_that_an_identity_that_json_cannot_hold_is_refused_by_name(tmp_path):
+    for note in ({"depth": float("nan")}, {"camera": object()}):
+        with pytest.raises(InputDataError, match="note cannot be written to a journal"):
+            Campaign(tmp_path, prior(("nhkv",)), LinearSimulator(), note=note)
+
+
+@dataclass(frozen=True)
+class Addressed(LinearSimulator):
+    """Its text holds an address in memory."""
+
+    conditions: Conditions = field(default_factory=Conditions)
+    law: object = field(default_factory=object)
+
+
+def test_that_a_campaign_is_resumed_on_any_number_of_workers_and_threads(tmp_path):
+    alone = PolytropicSimulator(threads=1)
+    campaign(tmp_path / "a", simulator=alone).ask()
+    before = (tmp_path / "a" / "journal.jsonl").read_bytes()
+    others = [ParallelSimulator(alone, partial(process_pool, n), chunk=64 * n) for n in (2, 3)]
+    for simulator in (*others, PolytropicSimulator(threads=2), ParallelSimulator(others[0], partial(process_pool, 2))):
+        run = campaign(tmp_path / "a", simulator=simulator)
+        run.ask()
+        assert run.journal.path.read_bytes() == before
+    campaign(tmp_path / "b", simulator=others[0]).ask()
+    assert (tmp_path / "b" / "journal.jsonl").read_bytes() == before
+    assert b" at 0x" not in before
+    with pytest.raises(InputDataError, match="simulator differ"):
+        campaign(tmp_path / "a", simulator=LinearSimulator())
+
+
+def test_that_addresses_in_memory_are_no_part_of_a_campaign(tmp_path):
+    campaign(tmp_path, simulator=Addressed()).ask()
+    keep = object()
+    campaign(tmp_path, simulator=Addressed(law=keep)).ask()
+
+
+def test_that_two_campaigns_on_one_folder_do_not_write_over_each_other(tmp_path):
+    first, second = campaign(tmp_path), campaign(tmp_path)
+    with first.journal.held():
+        with pytest.raises(InputDataError, match="is in use by another campaign"):
+            second.tell(CURVES[1])
+        first.tell(CURVES[0])
+    with pytest.raises(InputDataError, match="was written to since it was opened here; open the campaign again"):
+        second.tell(CURVES[1])
+    assert campaign(tmp_path).numbers == [1]
+    assert not (tmp_path / "experiment_002.npz").exists()
+
+
+def test_that_a_study_says_which_of_its_folders_is_in_use(tmp_path):
+    study = Study(tmp_path, prior(("nhkv",)), LinearSimulator(), LABORATORY, CampaignSettings(plan=PLAN, policy=SpaceFilling()))
+    study = replace(study, settings=replace(study.settings, learner=StubLearner()))
+    with study.open(1).journal.held():
+        outcomes = run_campaigns([0, 1], study, 1)
+    assert [o.designs for o in outcomes] == [1, 0]
+    assert "seed_0001 is in use by another campaign" in outcomes[1].error
+
+
+@pytest.mark.parametrize(
+    ("place", "change", "message"),
+    [
+        (0, {"event": "note"}, "line 1: event is 'note'; a campaign begins with 'start'"),
+        (2, {"belief": {}}, r"line 3: Expected a document of the format 'imr_torch belief 1', got None"),
+        (2, {"evidence": [5]}, r"line 3: event 'learnt' cannot be read \(AttributeError.*Restore the journal"),
+        (3, {"event": "forget", "experiment": 7}, r"line 4: event 'forget' cannot be read \(KeyError: 7\)"),
+    ],
+    ids=str,
+)
+def test_that_an_event_that_makes_no_sense_is_refused_by_line(tmp_path, place, change, message):
+    run = campaign(tmp_path)
+    run.tell(CURVES[0])
+    run.ask()
+    events = run.journal.events
+    rewritten(tmp_path, [*events[:place], events[place] | change, *events[place + 1 :]])
+    with pytest.raises(InputDataError, match=message):
+        campaign(tmp_path)
+
+
+def test_that_numbers_of_experiments_are_in_the_journal(tmp_path):
+    run = campaign(tmp_path)
+    run.tell(CURVES[0], CURVES[1])
+    run.forget(1)
+    journal = Journal(tmp_path)
+    assert [record["number"] for record in journal.find("observed")["experiments"]] == [1, 2]
+    assert journal.find("forget") == {"event": "forget", "experiment": 1}
+    assert journal.find("learnt")["experiments"] == [2]
