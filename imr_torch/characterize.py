@@ -8,6 +8,8 @@ repeated, so that a model that misses the data gets wider intervals.
 import math
 import time
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -23,6 +25,7 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.errors import InputDataError
+from imr_torch.files import write_json
 from imr_torch.gap import FitTest, check_fit
 from imr_torch.material import Belief, ModelBelief, wide_prior
 from imr_torch.observe import (
@@ -37,6 +40,7 @@ from imr_torch.observe import (
 )
 from imr_torch.observe.frames import FrameUse, frame_use
 from imr_torch.random import child
+from imr_torch.saved import SavedCharacterization, draws_to_dict
 from imr_torch.select import (
     Evidence,
     PredictiveScore,
@@ -48,6 +52,9 @@ from imr_torch.select import (
 )
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.types import Progress
+
+if TYPE_CHECKING:
+    import pandas
 
 LEVELS = (0.05, 0.5, 0.95)
 
@@ -146,6 +153,7 @@ class Characterization:
                 "log_evidence_error": evidence.error,
                 "effective_samples": evidence.effective_samples,
                 "draws": fit.trust,
+                "verdict": fit.verdict.name.lower(),
                 "certificate": certificate,
             }
         return {
@@ -158,8 +166,26 @@ class Characterization:
             "fit_test": None if self.fit_test is None else self.fit_test.to_dict(),
             "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),
+            "weighed_draws": draws_to_dict(self.assimilation),
             "cpu_seconds": self.seconds,
         }
+
+    def save(self, path: str | Path) -> None:
+        """Write :meth:`to_dict` as JSON, atomically."""
+        write_json(path, self.to_dict())
+
+    @staticmethod
+    def load(path: str | Path) -> SavedCharacterization:
+        """Read a result that :meth:`save` or the command line wrote: posterior, intervals, weighed draws, a table.
+
+        Raises:
+            InputDataError: if the file cannot be read, or holds no such result.
+        """
+        return SavedCharacterization.load(path)
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """One row per model and parameter, SI; needs pandas."""
+        return SavedCharacterization.from_dict(self.to_dict()).to_dataframe()
 
     def report(self, command: str = "imr-torch diagnose") -> str:
         """The result as text: whether the fit explains the curves, the frames used, a table per model with its certificate.

@@ -120,3 +120,37 @@ def write_json(path: str | Path, document: Any) -> None:
     """
     text = json.dumps(document, indent=1, allow_nan=False) + "\n"
     write_atomically(Path(path), lambda stream: stream.write(text.encode()))
+
+
+def read_json(path: str | Path, *, expected: str = "expected JSON") -> Any:
+    """Read a JSON file whose objects have every name once.
+
+    Args:
+        path: the file.
+        expected: what it should be, for messages.
+
+    Raises:
+        InputDataError: if it cannot be read, is no JSON in UTF-8, nests too deep, or repeats a name.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from imr_torch.files import read_json
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = (Path(folder) / "fit.json").write_text('{"G": 5000.0}')
+    ...     read_json(Path(folder) / "fit.json")
+    {'G': 5000.0}
+    """
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8-sig"), object_pairs_hook=_once)
+    except (OSError, ValueError, RecursionError) as error:
+        why = "its values are nested too deep" if isinstance(error, RecursionError) else f"{type(error).__name__}: {error}"
+        raise InputDataError(f"{path}: cannot be used ({why}); {expected}: correct it, or move it away.") from None
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the name {twice!r} occurs twice in one object")
+    return found

@@ -92,3 +92,10 @@ class Backwards(Executor):
                 waiting.set_result(work())
             self.waiting.clear()
         return future
+
+
+def fatal(traces, options) -> dict[str, str]:
+    """Characterises a shot of a batch: kills its process for one of them, and is quick for others."""
+    if traces.ids[0] == "gel_1":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {"error": f"{traces.ids[0]} was here"}

@@ -13,13 +13,13 @@ from collections.abc import Sequence
 
 import torch
 
-from imr_torch.cli import campaign, characterize, design, diagnose, plot, simulate
+from imr_torch.cli import batch, campaign, characterize, compare, design, diagnose, plot, simulate
 from imr_torch.cli.common import add_engine_arguments
 from imr_torch.cli.progress import Terminal
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError
 from imr_torch.files import check_target
 
-COMMANDS = (simulate, characterize, design, campaign, diagnose, plot)
+COMMANDS = (simulate, characterize, batch, compare, design, campaign, diagnose, plot)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -1,12 +1,17 @@
 """Infer a gel's properties from measured R(t): intervals, model probabilities, and figures of the fit.
 
   imr-torch characterize gel.csv --out result
+  imr-torch characterize day1/ "day2/*.csv"
+  imr-torch characterize gel.csv --layout "radius=R,radius_unit=um,time=t,time_unit=us"
+  imr-torch characterize wide.csv --layout "radius=*,radius_unit=um,time=t,time_unit=us"
   imr-torch characterize bubble.mat --layout "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat"
 
-CSV files have the columns experiment_id, time_s, radius_m (a JSON file of the same name beside it may give R_inf);
-MATLAB files of known layouts are recognised, others need --layout. All curves are taken to be of one gel and are fitted
-together; --each fits every curve by itself, which shows whether they agree. The report says whether the model explains the
-curves, which frames were fitted and which were not, and why.
+Files are tables (text or .xlsx) with the columns experiment_id, time_s, radius_m, or with units in the header ("time (us)",
+"R [um]"), MATLAB files, or .npz. What their names do not say, --layout says; units are never guessed. In a wide table
+every column of radii is a curve. A JSON file of the same name beside a file may give R_inf, Rmax, their sd, medium, frame
+rate, pixel size and exposure. All curves are taken to be of one gel and are fitted together; --each fits every curve by
+itself, which shows whether they agree. The report says whether the model explains the curves, which rows were left out, which
+frames were fitted, and why.
 """
 
 import argparse
@@ -45,8 +50,8 @@ _COLLAPSES = 2
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the subcommand."""
-    parser.add_argument("files", nargs="+", metavar="FILE", help="CSV, text or MATLAB files")
-    parser.add_argument("--layout", metavar="TEXT", help="how to read the files: name=value pairs, see the tutorial 02")
+    parser.add_argument("files", nargs="+", metavar="FILE", help="files (CSV, text, .xlsx, MATLAB, .npz), folders or patterns")
+    parser.add_argument("--layout", metavar="TEXT", help="how to read the files: name=value pairs, see above")
     parser.add_argument("--experiments", metavar="ID,...", help="fit only these experiments")
     parser.add_argument("--each", action="store_true", help="fit every curve by itself instead of all together")
     parser.add_argument("--collapses", type=int, default=_COLLAPSES, help="collapses in the fitted window (default 2)")

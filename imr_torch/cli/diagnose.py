@@ -53,7 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--heldout", metavar="ID,...", help="experiments that no fit may see (of a set: design 0, design 1, ...)"
     )
     parser.add_argument("--experiments", metavar="ID,...", help="use only these experiments")
-    parser.add_argument("--layout", metavar="TEXT", help="how to read files of curves, as for characterize")
+    parser.add_argument(
+        "--layout", metavar="TEXT", help="how to read files of curves, as for characterize (radius=R,radius_unit=um,time=t,...)"
+    )
     parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for curves without a tail")
     parser.add_argument("--collapses", type=int, help="collapses in the window of a curve (default 2)")
     parser.add_argument("--noise", choices=("estimated", "published"), help="default: published for sets, estimated for curves")

@@ -1,6 +1,5 @@
 """Sets of designs x repeats x frames as one ``.npz`` file: ``time_s``, ``radius_m``, ``we``, ``rinf_star``."""
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +7,7 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Experiment, Nuisance, check_experiment
+from imr_torch.observe.npz import read_arrays
 from imr_torch.units import Surroundings
 
 NUISANCE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
@@ -91,17 +91,4 @@ def _check_units(where: str, experiment: Experiment, size: float, unit: float) -
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
     """The arrays of a set by name."""
-    if not path.is_file():
-        raise InputDataError(f"{path}: no such file; check the name and the folder ({path.parent.resolve()}).")
-    try:
-        with np.load(path, allow_pickle=False) as document:
-            missing = [name for name in _SHAPES if name not in document]
-            if missing:
-                raise InputDataError(f"{path}: no array {missing[0]!r}; a set holds {', '.join(_SHAPES)}.")
-            return {name: np.asarray(document[name], dtype=np.float64) for name in _SHAPES}
-    except (OSError, ValueError, TypeError, zipfile.BadZipFile) as error:
-        if isinstance(error, InputDataError):
-            raise
-        raise InputDataError(
-            f"{path}: cannot be read as .npz arrays of numbers ({error}); write it with numpy.savez."
-        ) from error
+    return read_arrays(path, _SHAPES)

@@ -407,5 +407,5 @@ class Belief:
             document = json.loads(Path(path).read_text(encoding="utf-8"))
             document = document.get("belief", document) if isinstance(document, dict) else document
             return cls.from_dict(document)
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError, InputDataError) as error:
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError, InputDataError) as error:
             raise InputDataError(f"{path}: not a saved belief ({error}).") from None

@@ -1,11 +1,12 @@
 """Stage 3, observations: reading files, landmarks, noise, and experiments as dimensionless batches."""
 
+from imr_torch.observe import formats as formats  # registers the readers of the package
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment, ExperimentBatch, predict
 from imr_torch.observe.laboratory import SimulatedLaboratory
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
-from imr_torch.observe.load import load_traces
+from imr_torch.observe.load import SUFFIXES, find_files, load_traces
 from imr_torch.observe.noise import Noise, fit_noise
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.plausibility import check_experiment, check_maximum
@@ -18,6 +19,7 @@ __all__ = [
     "KNOWN_LAYOUTS",
     "NUISANCES",
     "READERS",
+    "SUFFIXES",
     "Experiment",
     "ExperimentBatch",
     "Given",
@@ -35,6 +37,7 @@ __all__ = [
     "check_maximum",
     "collapse_time",
     "displaced",
+    "find_files",
     "find_landmarks",
     "fit_noise",
     "load_traces",

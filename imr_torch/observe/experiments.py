@@ -14,7 +14,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.observe.distortion import Distortion
-from imr_torch.observe.noise import Noise
+from imr_torch.observe.noise import Noise, previous
 from imr_torch.observe.nuisance import Nuisance, displaced, impossible
 from imr_torch.simulate import EARLIEST, Simulator, check_designs
 
@@ -164,22 +164,16 @@ class ExperimentBatch:
         return self._padded([e.counts.to(torch.float64) for e in self.experiments], 1.0)
 
     @cached_property
-    def _decorrelation(self) -> Tensor | None:
-        return self.noise.decorrelation(self.times, self.mask)
+    def _innovations(self) -> tuple[Tensor, Tensor] | None:
+        return self.noise.innovations(self.times, self.mask)
 
     @cached_property
-    def _scatter(self) -> Tensor:
-        """``E x T x T`` matrices whose quadratic form in ``1/sd`` is the scatter of the repeats about their mean."""
+    def _scatter(self) -> tuple[Tensor, Tensor]:
+        """Deviations of the repeats from their mean, squared, and times those of the frame before: two ``E x T`` tensors."""
         width = self.times.shape[1]
-        rows = []
-        for e in self.experiments:
-            deviation = (e.radius - e.mean).nan_to_num()
-            padded = torch.nn.functional.pad(deviation, (0, width - deviation.shape[1]))
-            rows.append(padded.mT @ padded)
-        scatter = torch.stack(rows)
-        if self._decorrelation is None:
-            return torch.diag_embed(scatter.diagonal(dim1=-2, dim2=-1))
-        return scatter * (self._decorrelation.mT @ self._decorrelation)
+        deviations = [(e.radius - e.mean).nan_to_num() for e in self.experiments]
+        padded = [torch.nn.functional.pad(x, (0, width - x.shape[1])) for x in deviations]
+        return torch.stack([x.square().sum(0) for x in padded]), torch.stack([(x * previous(x)).sum(0) for x in padded])
 
     @cached_property
     def nuisance_sds(self) -> Tensor:
@@ -193,8 +187,9 @@ class ExperimentBatch:
     def whiten(self, values: Tensor, sd: Tensor) -> Tensor:
         """Scale differences ``... x E x T`` so that the mean of the repeats has unit, independent noise."""
         scaled = torch.where(self.mask, values / sd, 0.0)
-        if self._decorrelation is not None:
-            scaled = _along_frames(self._decorrelation, scaled)
+        if self._innovations is not None:
+            own, before = self._innovations
+            scaled = own * scaled - before * previous(scaled)
         return scaled * self.counts.sqrt()
 
     def log_likelihood(self, prediction: Tensor) -> Tensor:
@@ -203,21 +198,18 @@ class ExperimentBatch:
         square = self.whiten(self.mean - prediction, sd).square().sum(-1)
         weight = torch.where(self.mask, 1.0 / sd, 0.0)
         log_sd = sd.log()
-        if self._decorrelation is None:
-            scatter = (weight.square() * self._scatter.diagonal(dim1=-2, dim2=-1)).sum(-1)
+        squares, products = self._scatter
+        if self._innovations is None:
+            scatter = (weight.square() * squares).sum(-1)
         else:
-            scatter = (_along_frames(self._scatter, weight) * weight).sum(-1)
-            log_sd = log_sd - self._decorrelation.diagonal(dim1=-2, dim2=-1).log()
+            own, before = self._innovations
+            last = before * previous(weight)
+            scatter = ((own * weight).square() * squares - 2.0 * own * weight * last * products).sum(-1)
+            scatter = scatter + (last.square() * previous(squares)).sum(-1)
+            log_sd = log_sd - own.log()
         normaliser = (torch.where(self.mask, self.counts, 0.0) * (log_sd + 0.5 * math.log(2.0 * math.pi))).sum(-1)
         value = -0.5 * square - 0.5 * scatter - normaliser
         return torch.where(torch.isnan(value), -torch.inf, value)
-
-
-def _along_frames(matrices: Tensor, values: Tensor) -> Tensor:
-    """Multiply the frames of each experiment by its own matrix: ``E x T x T`` and ``... x E x T`` to ``... x E x T``."""
-    rows = values.movedim(-2, 0)
-    product = rows.reshape(len(rows), -1, rows.shape[-1]) @ matrices.mT
-    return product.reshape(rows.shape).movedim(0, -2)
 
 
 def predict(

@@ -232,7 +232,8 @@ def _peak(trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise: float
     stated = given.max_radius_m
     if stated is not None and abs(stated / top - 1.0) > 1e-6:
         at = float(time[k]) if given.time_of_max_s is None else given.time_of_max_s
-        return _Extreme(at, stated, spacing / 2.0, max(noise, abs(stated - top))), "as given"
+        sd = max(noise, abs(stated - top)) if given.max_radius_sd_m is None else given.max_radius_sd_m
+        return _Extreme(at, stated, spacing / 2.0, sd), "as given"
     drop = top - float(radius[k - 1 if k == len(radius) - 1 else k + 1])
     missed = found.value - top if found is not None else min(drop, MIN_RINGING_SD * top)
     return _Extreme(float(time[k]), top, spacing, max(noise, EDGE_SD * top, missed)), "edge"

@@ -12,11 +12,11 @@ from typing import Any
 from imr_torch.errors import InputDataError
 
 LENGTHS = {"m": 1.0, "um": 1e-6, "mm": 1e-3}
-TIMES = {"s": 1.0, "us": 1e-6, "ms": 1e-3}
+TIMES = {"s": 1.0, "us": 1e-6, "ms": 1e-3, "ns": 1e-9}
 RADIUS_UNITS = (*LENGTHS, "px", "dimensionless")
 TIME_UNITS = (*TIMES, "frames", "dimensionless")
 PEAKS = (None, "first_row", "time_zero")
-EXAMPLE = 'Layout("<name>", radius_unit="um", time="<name>", time_unit="us")'
+EXAMPLE = "radius=<name>,radius_unit=um,time=<name>,time_unit=us"
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,11 @@ class Layout:
     A name is the name of a variable or column; the columns of a table without header are named ``"1"``, ``"2"``, ...
 
     Args:
-        radius: name of the radius (in MATLAB a vector, or a cell array of vectors: one for each curve).
+        radius: name of the radius (in MATLAB a vector, or a cell array of vectors: one for each curve). In a wide table, which
+            has one column of radii a curve: their names joined by ``+``, or ``*`` for all columns but the time.
         radius_unit: one of m, um, mm, px, dimensionless (R/Rmax).
         time: name of the time, or None: frames counted from 0.
-        time_unit: one of s, us, ms, frames, dimensionless; ignored without ``time``.
+        time_unit: one of s, us, ms, ns, frames, dimensionless; ignored without ``time``.
         experiment: name of a column that tells the curves of a table apart.
         frame_interval: seconds between frames, or a variable that holds it.
         pixel_size: metres per pixel, or a variable that holds it.
@@ -93,17 +94,18 @@ class Layout:
     def _check_scales(self) -> None:
         if self.time is None and self.frame_interval is None:
             raise InputDataError(
-                "The layout names no time and no frame_interval; set time='<name>', or frame_interval=<seconds between frames>."
+                "The layout names no time and no frame_interval; write time=<name>, or frame_interval=<seconds between "
+                "frames>, into --layout."
             )
         if self.time_unit == "frames" and self.frame_interval is None:
-            raise InputDataError("Layout.time_unit is 'frames'; set frame_interval=<seconds between frames>.")
+            raise InputDataError("Layout.time_unit is 'frames'; write frame_interval=<seconds between frames> into --layout.")
         if "px" in (self.radius_unit, self.rest_radius_unit) and self.pixel_size is None:
             raise InputDataError(
-                "Layout.radius_unit is 'px'; set pixel_size=<metres per pixel>, or the variable that holds it."
+                "Layout.radius_unit is 'px'; write pixel_size=<metres per pixel>, or the variable that holds it, into --layout."
             )
         if "dimensionless" in (self.radius_unit, self.time_unit, self.rest_radius_unit) and self.max_radius is None:
             raise InputDataError(
-                "The layout has a 'dimensionless' unit; set max_radius=<metres>, or the variable that holds it."
+                "The layout has a 'dimensionless' unit; write max_radius=<metres>, or the variable of it, into --layout."
             )
 
     @property
@@ -137,12 +139,12 @@ class Layout:
             name, equals, value = (x.strip() for x in part.partition("="))
             if not equals or not value or name not in known or name in settings:
                 raise InputDataError(
-                    f"Layout text: cannot use '{part}'; write name=value once, with a name among {', '.join(known)}."
+                    f"--layout: cannot use '{part}'; write name=value once, with a name among {', '.join(known)}."
                 )
             settings[name] = _setting(name, value)
         for needed in ("radius", "radius_unit"):
             if needed not in settings:
-                raise InputDataError(f"Layout text '{text}' has no {needed}; write radius=<name>,radius_unit=um,...")
+                raise InputDataError(f"--layout '{text}' has no {needed}; write radius=<name>,radius_unit=um,...")
         return cls(**settings)
 
 
@@ -155,7 +157,7 @@ def _setting(name: str, value: str) -> Any:
         if name in ("density", "far_field_pressure", "separator"):
             return float(value)
     except ValueError:
-        raise InputDataError(f"Layout text: {name} is '{value}'; expected a number (entries as 1+2+4).") from None
+        raise InputDataError(f"--layout: {name} is '{value}'; expected a number (entries as 1+2+4).") from None
     if name in ("frame_interval", "pixel_size", "max_radius"):
         try:
             return float(value)

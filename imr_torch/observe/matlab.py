@@ -10,11 +10,14 @@ import math
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pymatreader
+import scipy.io
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.layout import Layout
+from imr_torch.observe.npz import LARGEST
 from imr_torch.observe.raw import RawCurve
 
 SPACING_TOLERANCE = 0.01
@@ -30,6 +33,7 @@ def read_variables(path: Path) -> Variables:
     Raises:
         InputDataError: if the file cannot be read, or holds no variable.
     """
+    _check_size(path)
     try:
         content = pymatreader.read_mat(str(path))
     except Exception as error:  # SciPy, h5py and zlib each raise their own kinds on damaged files
@@ -41,6 +45,46 @@ def read_variables(path: Path) -> Variables:
     if not variables:
         raise InputDataError(f"{path}: holds no variables; save the radius and time vectors into it.")
     return variables
+
+
+def names(path: Path) -> tuple[str, ...]:
+    """Names of the variables of a MATLAB file, without reading them; none if it cannot be read."""
+    try:
+        if h5py.is_hdf5(path):
+            with h5py.File(path) as file:
+                return tuple(file)
+        return tuple(name for name, _, _ in scipy.io.whosmat(str(path)))
+    except Exception:  # a damaged file is reported where it is read
+        return ()
+
+
+def _check_size(path: Path) -> None:
+    """Refuse a file whose variables would take more memory than ``LARGEST``."""
+    sizes: dict[str, int] = {}
+    try:
+        if h5py.is_hdf5(path):
+            with h5py.File(path) as file:
+                file.visititems(lambda name, x: sizes.update({name: x.nbytes}) if isinstance(x, h5py.Dataset) else None)
+        else:
+            sizes = {name: 8 * math.prod(shape) for name, shape, _ in scipy.io.whosmat(str(path))}
+    except Exception:  # a damaged file is reported where it is read
+        return
+    if sum(sizes.values()) > LARGEST:
+        name = max(sizes, key=lambda name: sizes[name])
+        raise InputDataError(
+            f"{path}: its variables take {sum(sizes.values()) / 2**30:.3g} GiB, above {LARGEST / 2**30:.3g} (the largest "
+            f"is '{name}'); it is damaged, or holds more than curves: save radius and time alone."
+        )
+
+
+def plain_vectors(variables: Variables) -> dict[str, np.ndarray]:
+    """The variables that are one vector of real numbers, longer than 1."""
+    found = {}
+    for name, value in variables.items():
+        array = None if isinstance(value, (dict, list, str)) else np.asarray(value)
+        if array is not None and array.dtype.kind in "fiub" and array.size > 1 and max(array.shape) == array.size:
+            found[name] = array.astype(np.float64).reshape(-1)
+    return found
 
 
 def _flatten(content: dict[str, Any], prefix: str = "") -> Variables:
@@ -79,7 +123,7 @@ def vectors(file: str, variables: Variables, name: str) -> list[np.ndarray]:
     if name not in variables:
         raise InputDataError(
             f"{file}: variable '{name}', named by the layout, is not in the file. It holds: {describe(variables)}. "
-            "Name one of these in the Layout."
+            "Name one of these in --layout."
         )
     value = variables[name]
     cells = value if isinstance(value, list) else [value]
@@ -88,7 +132,7 @@ def vectors(file: str, variables: Variables, name: str) -> list[np.ndarray]:
         where = f"{file}: variable '{name}'" + (f", cell {i + 1}" if len(cells) > 1 else "")
         array = None if isinstance(cell, (dict, list, str)) else np.asarray(cell)
         if array is None or array.dtype.kind not in "fiub":
-            raise InputDataError(f"{where} holds {str(cell)[:40]!r}, not real numbers; name a numeric variable in the Layout.")
+            raise InputDataError(f"{where} holds {str(cell)[:40]!r}, not real numbers; name a numeric variable in --layout.")
         if sum(n > 1 for n in array.shape) > 1:
             raise InputDataError(
                 f"{where} has shape {array.shape}; expected a vector, or a cell array of vectors: save each curve as one cell."
@@ -114,7 +158,7 @@ def number(file: str, variables: Variables, setting: str, value: str | float | N
     if found.size != 1 or not 0.0 < found[0] < math.inf:
         raise InputDataError(
             f"{file}: variable '{value}' ({setting}) is {_shape(variables[value])} {found[:4]!s}; expected one "
-            f"positive number. Give it in the Layout instead, as {setting}=<number>."
+            f"positive number. Write {setting}=<number> into --layout instead."
         )
     return float(found[0])
 
@@ -195,14 +239,14 @@ def _choose(
 ) -> tuple[tuple[int, ...], str]:
     """The one order-preserving choice of entries under which all curves have the same frame spacing."""
     counts = f"{file}: variable '{layout.max_radius}' has {len(found)} entries for {len(raw)} curves"
-    numbers = ",".join(str(i + 1) for i in range(len(raw)))
-    by_hand = f"max_radius_entries=({numbers}) (entry numbers from 1, one for each curve)"
+    numbers = "+".join(str(i + 1) for i in range(len(raw)))
+    by_hand = f"max_radius_entries={numbers} in --layout (entry numbers from 1, one for each curve)"
     if layout.time_unit != "dimensionless":
-        raise InputDataError(f"{counts}; say which belong to them with Layout({by_hand}).")
+        raise InputDataError(f"{counts}; say which belong to them with {by_hand}.")
     spacing = np.array([_median_step(curve) for curve in raw])
     implied = spacing[:, None] * found * layout.length_factor(layout.max_radius_unit) * layout.time_per_length
     if math.comb(len(found), len(raw)) > MAX_CHOICES:
-        raise InputDataError(f"{counts}, too many choices to try; say which belong to them with Layout({by_hand}).")
+        raise InputDataError(f"{counts}, too many choices to try; say which belong to them with {by_hand}.")
     choices = itertools.combinations(range(len(found)), len(raw))
     fitting = [c for c in choices if _agrees(implied[range(len(raw)), c], frame_interval)]
     if len(fitting) == 1:

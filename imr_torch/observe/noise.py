@@ -77,6 +77,23 @@ class Noise:
         correlation = torch.where(eye.bool(), eye, correlation)
         return torch.linalg.solve_triangular(torch.linalg.cholesky(correlation), eye, upper=False)
 
+    def innovations(self, times: Tensor, mask: Tensor) -> tuple[Tensor, Tensor] | None:
+        """The same factors by their two diagonals, or None for independent frames: an exponential correlation is Markov.
+
+        Args:
+            times: ``E x T`` tensor, dimensionless, increasing.
+            mask: ``E x T`` boolean tensor, frames that count; in each row the first ones.
+
+        Returns:
+            Two ``E x T`` tensors: factors of each frame and of the one before it, which is subtracted.
+        """
+        if self.correlation_time == 0.0:
+            return None
+        gap = torch.nn.functional.pad(times.diff(dim=1), (1, 0), value=torch.inf) / self.correlation_time
+        gap = torch.where(mask, gap, torch.inf)
+        own = (-torch.expm1(-2.0 * gap)).rsqrt()
+        return own, torch.exp(-gap) * own
+
     def draw(self, radius: Tensor, times: Tensor, repeats: int, *, generator: torch.Generator) -> Tensor:
         """Noisy curves of one experiment: ``repeats x n_t`` from a true curve ``n_t``."""
         noise = torch.randn(repeats, times.shape[0], generator=generator, dtype=radius.dtype)
@@ -84,6 +101,11 @@ class Noise:
         if decorrelate is not None:
             noise = torch.linalg.solve_triangular(decorrelate[0], noise.mT, upper=False).mT
         return radius + self.sd(radius, times) * noise
+
+
+def previous(values: Tensor) -> Tensor:
+    """Values ``... x T`` moved by one frame, 0 before the first."""
+    return torch.nn.functional.pad(values[..., :-1], (1, 0))
 
 
 def fit_noise(
@@ -121,16 +143,17 @@ def fit_noise(
     best: tuple[float, Noise] | None = None
     for correlation_time in _CORRELATION_TIMES:
         unit = replace(noise, scale=1.0, correlation_time=correlation_time)
-        factors = [unit.decorrelation(t[None], torch.ones_like(t[None], dtype=torch.bool)) for t in times]
+        factors = [unit.innovations(t[None], torch.ones_like(t[None], dtype=torch.bool)) for t in times]
         for factor in _FLOORS:
             law = replace(unit, floor=factor * noise.floor)
             square, log_sd = 0.0, 0.0
-            for residual, prediction, t, decorrelation in zip(residuals, predictions, times, factors, strict=True):
+            for residual, prediction, t, pair in zip(residuals, predictions, times, factors, strict=True):
                 sd = law.sd(prediction, t)
                 whitened, log_sd = residual / sd, log_sd + float(sd.log().sum())
-                if decorrelation is not None:
-                    whitened = decorrelation[0] @ whitened
-                    log_sd -= float(decorrelation[0].diagonal().log().sum())
+                if pair is not None:
+                    own, before = pair[0][0], pair[1][0]
+                    whitened = own * whitened - before * previous(whitened)
+                    log_sd -= float(own.log().sum())
                 square += float(whitened.square().sum())
             cost = 0.5 * frames * math.log(square) + log_sd
             if best is None or cost < best[0] - _TIE:

@@ -79,7 +79,7 @@ class RawCurve:
             i = int(np.flatnonzero(self.radius < 0)[0])
             raise InputDataError(
                 f"{at}, row {self.rows[i]}: radius is {self.radius[i]:g} m, which is negative. Write NaN for a lost "
-                "frame; if such rows separate curves, set Layout(separator=...) to the number in the file."
+                "frame; if such rows separate curves, write separator=<that number> into --layout."
             )
 
     def _check_order(self) -> None:

@@ -1,6 +1,7 @@
-"""Registry of further file formats: a function that recognises a file, and one that reads it.
+"""Registry of file formats: a function that recognises a file, and functions that read it.
 
-:func:`imr_torch.observe.load_traces` asks these before its own readers of text and MATLAB files.
+:func:`imr_torch.observe.load_traces` asks the readers, the last one registered first; those of the package
+(:mod:`imr_torch.observe.formats`) are registered before any other.
 """
 
 from collections.abc import Callable
@@ -8,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from imr_torch.errors import InputDataError
+from imr_torch.observe.layout import Layout
 from imr_torch.observe.traces import TraceSet
 
 
@@ -20,6 +22,7 @@ class Reader:
         recognises: whether a file is of this format, from its path and its first 4096 bytes; it should look at the content.
         read: the curves of a file, in SI units, with what was left out and why. It raises
             :class:`imr_torch.errors.InputDataError` with file, place, value and remedy where it cannot.
+        read_with: the same by a layout of the user's; None for a format that takes none.
 
     >>> import torch
     >>> from imr_torch.observe import RadiusTrace, Reader, TraceSet
@@ -33,10 +36,11 @@ class Reader:
     name: str
     recognises: Callable[[Path, bytes], bool]
     read: Callable[[Path], TraceSet]
+    read_with: Callable[[Path, Layout], TraceSet] | None = None
 
 
 READERS: dict[str, Reader] = {}
-"""Name -> reader, in the order in which they are asked."""
+"""Name -> reader; the last one is asked first."""
 
 
 def register_reader(reader: Reader) -> Reader:
@@ -53,3 +57,36 @@ def register_reader(reader: Reader) -> Reader:
         raise InputDataError(f"A reader of the name {reader.name!r} is registered already; give this one another name.")
     READERS[reader.name] = reader
     return reader
+
+
+def read_file(path: Path, layout: Layout | None) -> TraceSet:
+    """Read a file by the first reader that recognises it.
+
+    Raises:
+        InputDataError: if the file is missing or empty, no reader recognises it, or its reader takes no layout.
+    """
+    head = _head(path)
+    for reader in reversed(READERS.values()):
+        if reader.recognises(path, head):
+            if layout is None:
+                return reader.read(path)
+            if reader.read_with is None:
+                raise InputDataError(f"{path}: is read as {reader.name!r}, which takes no layout; leave the layout out.")
+            return reader.read_with(path, layout)
+    raise InputDataError(
+        f"{path}: unknown container (first bytes {head[:8]!r}); expected text (CSV), a MATLAB file, .xlsx or .npz: export the "
+        "curves as CSV with the header experiment_id,time_s,radius_m."
+    )
+
+
+def _head(path: Path) -> bytes:
+    """The first bytes of a file that can be one."""
+    if not path.exists():
+        raise InputDataError(f"{path}: no such file; check the name and the folder ({path.parent.resolve()}).")
+    if path.is_dir():
+        raise InputDataError(f"{path}: is a folder; name the files in it.")
+    with path.open("rb") as stream:
+        head = stream.read(4096)
+    if not head.removeprefix(b"\xef\xbb\xbf").strip():
+        raise InputDataError(f"{path}: the file is empty; export the curve again.")
+    return head

@@ -7,6 +7,7 @@ a :class:`TraceSet` is an ordered collection of them with the list of everything
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -30,9 +31,14 @@ class Given:
         rest_radius_m: equilibrium radius in m.
         rest_radius_sd_m: its standard deviation in m.
         rest_settled: whether the bubble has come to rest within the record.
+        max_radius_sd_m: standard deviation of the maximum radius in m.
+        frame_rate_hz: frames per second.
+        pixel_size_m: metres per pixel.
+        exposure_s: exposure of a frame in s.
+        medium: what the bubble was in, as text.
 
     Raises:
-        InputDataError: if a number is not finite, or a radius is not positive.
+        InputDataError: if a number is not finite, or one that must be is not positive.
 
     >>> from imr_torch.observe import Given
     >>> Given(max_radius_m=200e-6, rest_radius_m=40e-6).rest_radius_m
@@ -44,18 +50,28 @@ class Given:
     rest_radius_m: float | None = None
     rest_radius_sd_m: float | None = None
     rest_settled: bool | None = None
+    max_radius_sd_m: float | None = None
+    frame_rate_hz: float | None = None
+    pixel_size_m: float | None = None
+    exposure_s: float | None = None
+    medium: str | None = None
 
     def __post_init__(self) -> None:
-        for name in ("max_radius_m", "rest_radius_m"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < float("inf"):
-                raise InputDataError(f"Given.{name} is {value}; expected a positive length in m, or None if unknown.")
+        for names, what in (
+            (("max_radius_m", "rest_radius_m", "pixel_size_m"), "a positive length in m"),
+            (("frame_rate_hz",), "frames per second, above 0"),
+            (("exposure_s",), "a positive duration in s"),
+        ):
+            for name in names:
+                value = getattr(self, name)
+                if value is not None and not 0.0 < value < float("inf"):
+                    raise InputDataError(f"Given.{name} is {value}; expected {what}, or None if unknown.")
         if self.time_of_max_s is not None and not np.isfinite(self.time_of_max_s):
             raise InputDataError(f"Given.time_of_max_s is {self.time_of_max_s}; expected seconds, or None if unknown.")
-        if self.rest_radius_sd_m is not None and not 0.0 <= self.rest_radius_sd_m < float("inf"):
-            raise InputDataError(
-                f"Given.rest_radius_sd_m is {self.rest_radius_sd_m}; expected a length in m >= 0, or None if unknown."
-            )
+        for name in ("rest_radius_sd_m", "max_radius_sd_m"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 <= value < float("inf"):
+                raise InputDataError(f"Given.{name} is {value}; expected a length in m >= 0, or None if unknown.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,15 +150,15 @@ class RadiusTrace:
         top, low = float(self.radius_m.max()), float(self.radius_m.min())
         if top > RADIUS_RANGE_M[1]:
             unit = "millimetres" if top < 10.0 else "micrometres"
-            remedy = "'mm'" if top < 10.0 else "'um' (or 'px' with a pixel_size if the numbers are pixels)"
+            remedy = "radius_unit=mm" if top < 10.0 else "radius_unit=um (or px with a pixel_size if the numbers are pixels)"
             raise InputDataError(
                 f"{self._at('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between 1e-07 and 0.1 m. "
-                f"This looks like {unit} given as metres: set radius_unit={remedy}."
+                f"This looks like {unit} given as metres: write {remedy} into --layout."
             )
         if top < RADIUS_RANGE_M[0]:
             raise InputDataError(
                 f"{self._at('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between 1e-07 and 0.1 m. "
-                "This looks like metres converted once too often: set radius_unit='m'."
+                "This looks like metres converted once too often: write radius_unit=m into --layout."
             )
         if low < RADIUS_RANGE_M[0]:
             i = int(self.radius_m.argmin())
@@ -154,10 +170,10 @@ class RadiusTrace:
         if not DURATION_RANGE_S[0] <= duration <= DURATION_RANGE_S[1]:
             long = duration > DURATION_RANGE_S[1]
             guess = "microseconds (or frames) given as seconds" if long else "seconds converted once too often"
-            remedy = "'us' (or 'frames' with a frame_interval)" if long else "'s'"
+            remedy = "time_unit=us (or frames with a frame_interval)" if long else "time_unit=s"
             raise InputDataError(
                 f"{self._at('time_s')} spans {duration:.4g} s; records last between 1e-07 and 1 s. This looks like "
-                f"{guess}: set time_unit={remedy}."
+                f"{guess}: write {remedy} into --layout."
             )
 
 
@@ -227,10 +243,14 @@ class TraceSet:
                     f"experiment_id '{name}' occurs {count} times (in {files}); load a file once, or rename the experiments."
                 )
 
-    @property
+    @cached_property
     def ids(self) -> tuple[str, ...]:
         """The experiment ids, in order."""
         return tuple(trace.experiment_id for trace in self.traces)
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {name: i for i, name in enumerate(self.ids)}
 
     def __len__(self) -> int:
         return len(self.traces)
@@ -240,9 +260,9 @@ class TraceSet:
 
     def __getitem__(self, key: int | str) -> RadiusTrace:
         if isinstance(key, str):
-            if key not in self.ids:
+            if key not in self._places:
                 raise InputDataError(f"No experiment '{key}' among the {len(self)} loaded: {_some(self.ids)}.")
-            return self.traces[self.ids.index(key)]
+            return self.traces[self._places[key]]
         return self.traces[key]
 
     def select(self, ids: Sequence[str]) -> "TraceSet":

@@ -28,6 +28,86 @@ MARKED = Layout("2", radius_unit="um", time="1", time_unit="us", separator=-1000
 FILES = {
     "empty file": (b"", None, r"bad\.csv: the file is empty; export the curve again\."),
     "only blanks": (b" \n \n", None, r"bad\.csv: the file is empty; export the curve again\."),
+    "byte-order mark alone": (b"\xef\xbb\xbf", None, r"bad\.csv: the file is empty; export the curve again\."),
+    "comments alone": (b"# nothing\n", None, r"bad\.csv: holds no row; export the curve again\."),
+    "a field too long": (
+        b"t (us),R (um)\n0," + b"1" * 140_000 + b"\n",
+        None,
+        r"bad\.csv: row 2 has a field of 140000 characters, more than 131072; .*",
+    ),
+    "a quoted field too long": (
+        b't (us),R (um)\n0,"' + b"1" * 140_000 + b'"\n',
+        None,
+        r"bad\.csv: row 2 cannot be divided into fields \(field larger than field limit \(131072\)\); .*",
+    ),
+    "a long cell that is no number": (
+        b"t (us),R (um)\n0," + b"x" * 500 + b"\n",
+        None,
+        r"bad\.csv: row 2, column 'R \(um\)' is 'x{40}'\.\.\. \(500 characters\), not a number; .*",
+    ),
+    "duplicate columns": (
+        b"t (us),R (um),R (um)\n0,1,2\n",
+        None,
+        r"bad\.csv: columns 2 and 3 are both named 'R \(um\)'; give every column a name of its own\.",
+    ),
+    "decimal commas between commas": (
+        b"t (us),R (um)\n0,0,254,1\n",
+        None,
+        r"bad\.csv: row 2 has 4 field\(s\) .*If the numbers have decimal commas, divide the columns by semicolons\.",
+    ),
+    "thousands separators": (
+        b"t (us);R (um)\n0;1.254,1\n",
+        None,
+        r"bad\.csv: row 2, column 'R \(um\)' is '1\.254,1', not a number; write numbers without thousands separators, .*",
+    ),
+    "no units": (
+        b"t,R\n" + b"".join(b"%d,%d\n" % (i, 254 - i) for i in range(8)),
+        None,
+        r"bad\.csv: 'R' and 't' have no unit\. If this is right, add --layout "
+        r'"radius=R,radius_unit=um,time=t,time_unit=us" \(in Python layout=Layout\.from_text\("radius=R,.*"\)\), which gives '
+        r"a largest radius of 254 um and a record of 7 us; or write the units into the header, .*",
+    ),
+    "a unit of the time alone": (
+        b"time (us),R\n0,2e-4\n1,1e-4\n",
+        None,
+        r"bad\.csv: 'R' has no unit\. .*--layout \"radius=R,radius_unit=m,time=time \(us\),time_unit=us\" .*",
+    ),
+    "no times": (
+        b"R (um)\n254\n253\n",
+        None,
+        r"bad\.csv: no column of times is found .*radius=R \(um\),radius_unit=um,frame_interval=<seconds between frames>\" .*",
+    ),
+    "pixels of unknown size": (
+        b"t (us),R (px)\n0,100\n1,99\n",
+        None,
+        r"bad\.csv: .*no pixel_size is known; write pixel_size_m into the JSON file .*add --layout \"radius=R \(px\),.*,pixel_size=<metres per pixel>\"\.",
+    ),
+    "a diameter": (
+        b"t (us),diameter (um)\n0,400\n1,398\n",
+        None,
+        r"bad\.csv: 'diameter \(um\)' is a diameter by its name; divide it by 2 and name the column R\.",
+    ),
+    "two columns of times": (
+        b"t1 (us),R1 (um),t2 (us),R2 (um)\n0,100,0,100\n",
+        None,
+        r"bad\.csv: 't1 \(us\)' and 't2 \(us\)' are all times\. .*write the curves below each other, .*",
+    ),
+    "dimensionless columns without a scale": (
+        b"t*,R*\n0,1\n0.1,0.99\n",
+        None,
+        r"bad\.csv: radii are in dimensionless and times in dimensionless, and no max_radius is known; write Rmax_m .*"
+        r'--layout "radius=R\*,radius_unit=dimensionless,time=t\*,time_unit=dimensionless,max_radius=<metres>"\.',
+    ),
+    "two units of radii": (
+        b"t (us),R1 (um),R2 (mm)\n0,100,1\n",
+        None,
+        r"bad\.csv: the columns of radii 'R1 \(um\)', 'R2 \(mm\)' differ in their units; write all in one unit\.",
+    ),
+    "a layout against the header": (
+        b"t (us),R (um)\n0,100\n1,99\n",
+        Layout("R (um)", radius_unit="mm", time="t (us)", time_unit="us"),
+        r"bad\.csv: column 'R \(um\)' is in um by its header and in mm by the layout; correct the layout, or leave it out\.",
+    ),
     "header alone": (HEAD.encode(), None, r"bad\.csv: has the header experiment_id, time_s, radius_m and no rows; .*"),
     "text in a number": (
         lines((2, "a,2e-6,big")).encode(),
@@ -37,18 +117,19 @@ FILES = {
     "wrong columns": (
         b"id,t,R\na,1,2\n",
         None,
-        r"bad\.csv: no known layout fits\. The file holds: columns id, t, R\. Say what they mean, for example "
-        r"layout=Layout\(.*",
+        r"bad\.csv: 'R' and 't' have no unit\. If this is right, add --layout "
+        r'"radius=R,radius_unit=mm,time=t,time_unit=us,experiment=id" .*',
     ),
     "no header and no separators": (
         b"0,100\n1,99\n",
         None,
-        r"bad\.csv: no known layout fits\. The file holds: columns 1, 2\. Say .*Layout\(.*",
+        r"bad\.csv: no column of radii is found by its name or unit\. The file holds: columns 1, 2\. If this is right, add "
+        r'--layout "radius=2,radius_unit=um,time=1,time_unit=us" .* which gives a largest radius of 100 um .*',
     ),
     "column not in the file": (
         b"0,100\n1,99\n",
         Layout("R", radius_unit="um", time="1"),
-        r"bad\.csv: column 'R', named by the layout, is not in the file\. It holds: columns 1, 2\. Name one of .*",
+        r"bad\.csv: column 'R', named by the layout, is not in the file\. It holds: columns 1, 2\. Name one of these in --layout\.",
     ),
     "row with a field too few": (
         lines((3, "a,3e-6")).encode(),
@@ -73,7 +154,7 @@ FILES = {
     "negative radius": (
         lines((4, "a,4e-6,-1e-4")).encode(),
         None,
-        r"bad\.csv: experiment 'a', row 6: radius is -0\.0001 m, which is negative\. .* set Layout\(separator=.*",
+        r"bad\.csv: experiment 'a', row 6: radius is -0\.0001 m, which is negative\. .* write separator=<that number> into --layout\.",
     ),
     "infinite radius": (
         lines((4, "a,4e-6,inf")).encode(),
@@ -94,27 +175,27 @@ FILES = {
         "".join(f"{i},{254 - i}\n" for i in range(8)).encode(),
         Layout("2", radius_unit="m", time="1", time_unit="us"),
         r"bad\.csv: experiment 'bad', radius_m is 254 at its largest, in m; .*looks like micrometres given as metres: "
-        r"set radius_unit='um' .*",
+        r"write radius_unit=um .*into --layout\.",
     ),
     "millimetres as metres": (
         "".join(f"{i},{0.254 - i / 1000}\n" for i in range(8)).encode(),
         Layout("2", radius_unit="m", time="1", time_unit="us"),
-        r"bad\.csv: experiment 'bad', radius_m is 0\.254 at its largest, in m; .*set radius_unit='mm'\.",
+        r"bad\.csv: experiment 'bad', radius_m is 0\.254 at its largest, in m; .*write radius_unit=mm into --layout\.",
     ),
     "metres as micrometres": (
         "".join(f"{i},{2.54e-4 - i * 1e-6}\n" for i in range(8)).encode(),
         UM,
-        r"bad\.csv: experiment 'bad', radius_m is 2\.54e-10 at its largest, in m; .*set radius_unit='m'\.",
+        r"bad\.csv: experiment 'bad', radius_m is 2\.54e-10 at its largest, in m; .*write radius_unit=m into --layout\.",
     ),
     "microseconds as seconds": (
         "".join(f"{i},{254 - i}\n" for i in range(8)).encode(),
         Layout("2", radius_unit="um", time="1"),
-        r"bad\.csv: experiment 'bad', time_s spans 7 s; records last between 1e-07 and 1 s\. .*set time_unit='us' .*",
+        r"bad\.csv: experiment 'bad', time_s spans 7 s; records last between 1e-07 and 1 s\. .*write time_unit=us .*",
     ),
     "seconds as microseconds": (
         "".join(f"{i}e-6,{254 - i}\n" for i in range(8)).encode(),
         UM,
-        r"bad\.csv: experiment 'bad', time_s spans 7e-12 s; .*set time_unit='s'\.",
+        r"bad\.csv: experiment 'bad', time_s spans 7e-12 s; .*write time_unit=s into --layout\.",
     ),
     "half a separator": (
         b"-1000,-1000\n" + b"".join(b"%d,%d\n" % (i, 90 - i) for i in range(6)) + b"9,-1000\n",
@@ -152,8 +233,10 @@ def test_that_an_unusable_file_names_place_value_and_remedy(tmp_path: Path, name
 def test_that_a_missing_file_a_folder_and_no_file_are_told_apart(tmp_path: Path) -> None:
     with pytest.raises(InputDataError, match=r"none\.csv: no such file; check the name and the folder"):
         load_traces(tmp_path / "none.csv")
-    with pytest.raises(InputDataError, match="is a folder; name the files in it"):
+    with pytest.raises(InputDataError, match=r"the folder holds no file of curves; expected files that end in \.csv, "):
         load_traces(tmp_path)
+    with pytest.raises(InputDataError, match=r"gel\*\.csv: no file fits this pattern; check it and the folder"):
+        load_traces(tmp_path / "gel*.csv")
     with pytest.raises(InputDataError, match="was given no file; name at least one"):
         load_traces()
 
@@ -162,10 +245,26 @@ def test_that_a_missing_file_a_folder_and_no_file_are_told_apart(tmp_path: Path)
     ("content", "message"),
     [
         ("{", r"bad\.json: cannot be used \(JSONDecodeError: .*\); expected JSON with a list 'experiments' .*"),
-        ("{}", r"bad\.json: cannot be used \(KeyError: 'experiments'\); .*correct it, or move it away\."),
+        ("[]", r"bad\.json: cannot be used \(it holds a list\); .*correct it, or move it away\."),
+        (
+            '{"experiments": [{"Rmax_m": 1}]}',
+            r"bad\.json: cannot be used \(entry 1 of 'experiments' has no experiment_id\); .*",
+        ),
+        (
+            '{"experiments": [{"experiment_id": "a"}, {"experiment_id": "a"}]}',
+            r"bad\.json: cannot be used \(experiment_id 'a' occurs twice; describe every experiment once\); .*",
+        ),
+        ('{"medium": "x", "medium": "y"}', r"bad\.json: cannot be used \(.*'medium' occurs twice in one object\); .*"),
+        ("[" * 100_000, r"bad\.json: cannot be used \(its values are nested too deep\); .*"),
+        (
+            '{"experiments": [{"experiment_id": "a", "Rmax_m": "1e-4"}]}',
+            r"Rmax_m of experiment 'a' is '1e-4'; expected a number",
+        ),
+        ('{"radius_unit": "furlong"}', r"bad\.json: cannot be used \(radius_unit is 'furlong'; write .*um, px for radii\)"),
+        ('{"exposure_s": 0}', r"Given\.exposure_s is 0\.0; expected a positive duration in s"),
         (
             '{"experiments": [{"experiment_id": "a", "Rmax_m": -1}]}',
-            r"bad\.json: cannot be used \(InputDataError: Given\.max_radius_m is -1\.0; .*",
+            r"bad\.json: cannot be used \(experiment 'a': InputDataError: Given\.max_radius_m is -1\.0; .*",
         ),
     ],
 )
@@ -178,19 +277,19 @@ def test_that_an_unusable_json_beside_a_table_is_named(tmp_path: Path, content: 
 
 LAYOUTS = {
     "radius=R,radius_unit=cm,time=t": r"Layout\.radius_unit is 'cm'; choose one of: m, um, mm, px, dimensionless\.",
-    "radius=R,radius_unit=um,time=t,time_unit=h": r"Layout\.time_unit is 'h'; choose one of: s, us, ms, frames, .*",
+    "radius=R,radius_unit=um,time=t,time_unit=h": r"Layout\.time_unit is 'h'; choose one of: s, us, ms, ns, frames, .*",
     "radius=R,radius_unit=um,time=t,inserted_peak=last": r"Layout\.inserted_peak is 'last'; choose one of: None, .*",
-    "radius=R,radius_unit=um": r"The layout names no time and no frame_interval; set time='<name>', or .*",
-    "radius=R,radius_unit=um,time=t,time_unit=frames": r"Layout\.time_unit is 'frames'; set frame_interval=.*",
-    "radius=R,radius_unit=px,time=t": r"Layout\.radius_unit is 'px'; set pixel_size=<metres per pixel>, or .*",
-    "radius=R,radius_unit=dimensionless,time=t": r"The layout has a 'dimensionless' unit; set max_radius=<metres>, .*",
+    "radius=R,radius_unit=um": r"The layout names no time and no frame_interval; write time=<name>, or .*",
+    "radius=R,radius_unit=um,time=t,time_unit=frames": r"Layout\.time_unit is 'frames'; write frame_interval=.*",
+    "radius=R,radius_unit=px,time=t": r"Layout\.radius_unit is 'px'; write pixel_size=<metres per pixel>, or .*",
+    "radius=R,radius_unit=dimensionless,time=t": r"The layout has a 'dimensionless' unit; write max_radius=<metres>, .*",
     "radius=R,radius_unit=um,frame_interval=-1e-6": r"Layout\.frame_interval is -1e-06; expected a positive number .*",
     "radius=R,radius_unit=um,time=t,max_radius_entries=0+1": r"Layout\.max_radius_entries is \(0, 1\); .*from 1\.",
-    "radius=R,radius_unit=um,colour=red": r"Layout text: cannot use 'colour=red'; write name=value once, .*radius.*",
-    "radius=R,radius=Q,radius_unit=um": r"Layout text: cannot use 'radius=Q'; write name=value once, .*",
-    "radius=R,radius_unit": r"Layout text: cannot use 'radius_unit'; write name=value once, .*",
-    "time=t,radius_unit=um": r"Layout text 'time=t,radius_unit=um' has no radius; write radius=<name>,.*",
-    "radius=R,radius_unit=um,density=water": r"Layout text: density is 'water'; expected a number .*",
+    "radius=R,radius_unit=um,colour=red": r"--layout: cannot use 'colour=red'; write name=value once, .*radius.*",
+    "radius=R,radius=Q,radius_unit=um": r"--layout: cannot use 'radius=Q'; write name=value once, .*",
+    "radius=R,radius_unit": r"--layout: cannot use 'radius_unit'; write name=value once, .*",
+    "time=t,radius_unit=um": r"--layout 'time=t,radius_unit=um' has no radius; write radius=<name>,.*",
+    "radius=R,radius_unit=um,density=water": r"--layout: density is 'water'; expected a number .*",
 }
 
 

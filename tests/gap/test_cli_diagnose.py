@@ -140,7 +140,7 @@ def broken(tmp_path, matched) -> dict[str, Path]:
         (["nowhere.npz"], r"nowhere\.npz: no such file"),
         (["nowhere.csv"], r"nowhere\.csv.*no such file"),
         (["{text}"], r"text\.npz: cannot be read as \.npz"),
-        (["{keyless}"], r"no array 'we'; a set holds time_s, radius_m, we, rinf_star"),
+        (["{keyless}"], r"no array 'we'; expected time_s, radius_m, we, rinf_star, got time_s"),
         (["{short}"], r"time_s has shape \(2, 53\); expected 2 dimensions, the first of 1 designs"),
         (["{flat}"], r"radius_m has shape \(2, 53\); expected 3 dimensions"),
         (["{frames}"], "radius_m has 53 frames, time_s 52"),

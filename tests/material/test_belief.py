@@ -383,7 +383,9 @@ def test_that_bad_input_is_named(call: Callable[[], object], message: str) -> No
         call()
 
 
-@pytest.mark.parametrize("text", ["", "{", "not json", None], ids=["empty", "cut off", "words", "missing"])
+@pytest.mark.parametrize(
+    "text", ["", "{", "not json", "[" * 100_000, None], ids=["empty", "cut off", "words", "deep", "missing"]
+)
 def test_that_a_file_that_is_no_belief_is_named(tmp_path: Path, text: str | None) -> None:
     path = tmp_path / "belief.json"
     if text is not None:

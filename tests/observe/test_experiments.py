@@ -337,3 +337,20 @@ def test_that_frames_before_time_zero_are_as_possible_as_they_were_measured() ->
     gel = PARAMETERS.pack({"G": 4e3, "mu": 0.1})[None]
     found = predict(PolytropicSimulator(), gel, batch, torch.zeros(1, 1, 3, dtype=torch.float64))
     assert bool(torch.isfinite(found).all())
+
+
+@pytest.mark.parametrize("tau", [0.0, 0.1])
+def test_that_a_likelihood_takes_memory_in_proportion_to_the_frames(tau: float) -> None:
+    count = 200_000  # a matrix of frames x frames would take 320 GB
+    times = torch.linspace(0.0, 2.0, count, dtype=torch.float64)
+    radius = torch.stack([0.5 + 0.1 * times, 0.5 - 0.1 * times])
+    batch = ExperimentBatch((Experiment("long", (400.0, 0.22), times, radius),), Noise(correlation_time=tau))
+    sd = batch.noise.sd(torch.tensor(0.5).double(), times)
+    standard = (radius - 0.5) / sd
+    kept = math.exp(-2.0 / (count - 1) / tau) if tau else 0.0  # correlation with the frame before
+    mean = torch.nn.functional.pad(kept * standard[:, :-1], (1, 0))
+    spread = torch.full((count,), math.sqrt(1.0 - kept**2), dtype=torch.float64)
+    spread[0] = 1.0
+    expected = torch.distributions.Normal(mean, spread).log_prob(standard).sum() - 2.0 * sd.log().sum()
+    value = batch.log_likelihood(torch.full((1, count), 0.5, dtype=torch.float64))
+    torch.testing.assert_close(value[0], expected, rtol=1e-7, atol=0.0)

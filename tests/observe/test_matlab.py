@@ -100,7 +100,7 @@ def test_that_an_ambiguous_choice_is_an_error_with_both_remedies(tmp_path: Path)
     path = dimensionless_file(tmp_path / "x.mat", [1.5e-4, 1.5e-4, 1.8e-4], [1.5e-4, 1.8e-4])
     match = (
         r"x\.mat: variable 'RmaxList' has 3 entries for 2 curves, and 2 choices fit a frame spacing, equal for all "
-        r"curves \(within 0\.2 %\)\. Give frame_interval=<seconds between frames>, or max_radius_entries=\(1,2\).*"
+        r"curves \(within 0\.2 %\)\. Give frame_interval=<seconds between frames>, or max_radius_entries=1\+2 in --layout.*"
         r"curve 1: 5e-07, 5e-07, 6e-07; curve 2: 4\.167e-07, 4\.167e-07, 5e-07\."
     )
     with pytest.raises(InputDataError, match=match):
@@ -159,7 +159,7 @@ UM = Layout("R", radius_unit="um", time="t", time_unit="us")
 @pytest.mark.parametrize(
     ("variables", "layout", "message"),
     [
-        ({"R": R, "t": T}, None, r"no known layout fits\. The file holds: R \(10,\), t \(10,\)\. Say .*Layout\("),
+        ({"R": R, "t": T}, None, r"'R' and 't' have no unit\. If this is right, add --layout \"radius=R,radius_unit="),
         (
             {"Rnew": R, "t": T, "RmaxAll": 70.0, "deltat": 1e-6, "deltax": 2e-6},
             None,

@@ -228,3 +228,17 @@ def test_that_standard_deviations_come_in_the_order_of_the_names() -> None:
 def test_that_an_impossible_nuisance_is_named(name: str, value: float) -> None:
     with pytest.raises(InputDataError, match=rf"Nuisance.{name} is {value}; expected a standard deviation in \[0, 1\)"):
         Nuisance(**{name: value})
+
+
+@pytest.mark.parametrize("tau", [0.02, 0.3])
+def test_that_innovations_are_the_decorrelation(tau: float) -> None:
+    times = torch.stack([frames(), 1.5 * frames()])
+    mask = torch.ones(2, 12, dtype=torch.bool)
+    mask[1, 8:] = False
+    noise = Noise(correlation_time=tau)
+    pair, factors = noise.innovations(times, mask), noise.decorrelation(times, mask)
+    assert pair is not None
+    assert factors is not None
+    matrix = torch.diag_embed(pair[0]) - torch.diag_embed(pair[1][:, 1:], offset=-1)
+    torch.testing.assert_close(matrix, factors, rtol=1e-9, atol=1e-9)
+    assert Noise().innovations(times, mask) is None

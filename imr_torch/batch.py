@@ -1,0 +1,397 @@
+"""Characterisation of many shots: every file by itself, in any number of processes, with a summary over all.
+
+A result is written as soon as it is there, atomically, with a key of all that went into it: the content of the file and of the
+JSON file beside it, and the options. A run that was cut off goes on with the shots whose key has no result.
+"""
+
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from contextlib import closing
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from imr_torch.assimilate import FitOptions
+from imr_torch.characterize import characterize
+from imr_torch.errors import ImrError, InputDataError
+from imr_torch.files import read_json, write_atomically, write_json
+from imr_torch.material import PARAMETERS, Belief
+from imr_torch.observe import Layout, TraceSet, find_files, load_traces
+from imr_torch.saved import SavedCharacterization, to_dataframe
+from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
+
+if TYPE_CHECKING:
+    import pandas
+
+SHOTS = "shots"
+"""Folder of the results, below that of the run."""
+
+DONE, NOT_CONVERGED, FAILED = "done", "not converged", "failed"
+_WINDOW = 64  # shots handed to an executor at a time
+_FEATURES = ("status", "file", "curves", "frames", "We", "R_inf*", "model", "probability")
+
+
+@dataclass(frozen=True)
+class BatchOptions:
+    """What is done with every shot; the same for all.
+
+    Args:
+        prior: what is believed before.
+        simulator: makes the bubbles; on one thread where processes share the work.
+        layout: how files are read.
+        each: whether every curve of a file is a shot; else the curves of a file are fitted together, as one.
+        collapses: as for :func:`imr_torch.characterize`.
+        rest_radius: as for :func:`imr_torch.characterize`.
+        estimate_noise: as for :func:`imr_torch.characterize`.
+        options: as for :func:`imr_torch.characterize`.
+        seed: as for :func:`imr_torch.characterize`.
+
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.batch import BatchOptions
+    >>> BatchOptions(wide_prior(["nhkv"]), PolytropicSimulator()).collapses
+    2
+    """
+
+    prior: Belief
+    simulator: Simulator
+    layout: Layout | None = None
+    each: bool = False
+    collapses: int = 2
+    rest_radius: tuple[float, float] | None = None
+    estimate_noise: bool = True
+    options: FitOptions | None = None
+    seed: int = 0
+
+    def key(self) -> str:
+        """Hash of everything that has a say in a result."""
+        parts = [json.dumps(self.prior.to_dict(), sort_keys=True), repr(self.simulator), repr(self.layout), self.each]
+        parts += [self.collapses, self.rest_radius, self.estimate_noise, repr(self.options), self.seed, version("imr-torch")]
+        return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One thing to be characterised.
+
+    Args:
+        name: unique in the run; that of its result file.
+        file: where it comes from.
+        traces: its curves; None if the file cannot be used.
+        key: hash of file and options.
+        error: why the file cannot be used.
+    """
+
+    name: str
+    file: str
+    traces: TraceSet | None
+    key: str
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class BatchSummary:
+    """One row per shot.
+
+    Args:
+        rows: ``shot``, ``status`` (done, not converged, failed), ``file``, ``curves``, ``frames``, ``We``, ``R_inf*``,
+            ``model`` and its ``probability``, ``<parameter>_low``, ``<parameter>`` and ``<parameter>_high`` (5, 50, 95 %
+            quantile of the most probable model, SI), ``rmse``, ``verdict``, ``cpu_seconds``, ``error``.
+
+    >>> from imr_torch.batch import BatchSummary
+    >>> failed = {"shot": "b", "status": "failed", "error": "no bubble"}
+    >>> summary = BatchSummary(({"shot": "a", "status": "done", "G": 5e3}, failed))
+    >>> summary.count("failed"), summary.columns
+    (1, ('shot', 'status', 'G', 'error'))
+    """
+
+    rows: tuple[Mapping[str, Any], ...]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """All columns, in order: parameters in the order of the package."""
+        found = {name for row in self.rows for name in row}
+        known = ("shot", *_FEATURES, *(n for p in PARAMETERS.names for n in (f"{p}_low", p, f"{p}_high")))
+        last = ("rmse", "verdict", "cpu_seconds", "error")
+        return tuple(name for name in (*known, *last) if name in found)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Parameters that some shot has."""
+        return tuple(name for name in PARAMETERS.names if name in self.columns)
+
+    def count(self, status: str) -> int:
+        """Shots of a status."""
+        return sum(row["status"] == status for row in self.rows)
+
+    def report(self) -> str:
+        """How many shots have a result, and why others have none, as text."""
+        lines = [f"{len(self.rows)} shot(s): " + ", ".join(f"{self.count(s)} {s}" for s in (DONE, NOT_CONVERGED, FAILED))]
+        return "\n".join([*lines, *(f"  {row['shot']}: {row['error']}" for row in self.rows if row["status"] == FAILED)])
+
+    def to_csv(self) -> str:
+        """The rows as CSV with a header; numbers keep every bit."""
+        stream = io.StringIO()
+        writer = csv.DictWriter(stream, self.columns, lineterminator="\n", restval="")
+        writer.writeheader()
+        writer.writerows(self.rows)
+        return stream.getvalue()
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """The rows as a table; needs pandas."""
+        return to_dataframe(self.rows)
+
+
+@dataclass
+class _Run:
+    """A run in progress: where results go, and what is known so far."""
+
+    folder: Path
+    options: BatchOptions
+    rows: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def keep(self, shot: Shot, document: Mapping[str, Any]) -> None:
+        """Write a result and its row."""
+        target = self.folder / SHOTS / f"{shot.name}.json"
+        if document.get("error"):
+            target.unlink(missing_ok=True)  # of an earlier state of the file
+        else:
+            write_json(target, {"shot": shot.name, "file": shot.file, "key": shot.key, **document})
+        self.rows[shot.name] = _row(shot, document)
+
+
+def run_batch(
+    *paths: str | Path,
+    folder: str | Path,
+    options: BatchOptions,
+    executor: Executor | Callable[[], Executor] | None = None,
+    window: int = _WINDOW,
+    progress: Progress | None = None,
+) -> BatchSummary:
+    """Characterise every file, and go on where an earlier run into the same folder was cut off.
+
+    A file that cannot be used, a fit that fails and a worker that dies cost their own shot alone.
+
+    Args:
+        paths: files, folders or patterns, as for :func:`imr_torch.load_traces`.
+        folder: where results go: ``shots/<name>.json``, each a result as of ``imr-torch characterize``.
+        options: what is done with each.
+        executor: any ``concurrent.futures.Executor``, or a function that makes one, so that a pool that broke is replaced;
+            None: one shot after the other in this process.
+        window: shots handed to the executor at a time; as many as it has workers keep all busy.
+        progress: called with a line per shot.
+
+    Raises:
+        InputDataError: if no file is found, or ``window`` is below 1.
+
+    >>> import tempfile
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.batch import BatchOptions, run_batch
+    >>> options = BatchOptions(wide_prior(["nhkv"]), PolytropicSimulator())
+    >>> with tempfile.TemporaryDirectory() as home:
+    ...     (path := __import__("pathlib").Path(home) / "gel.csv").write_text("t,R")
+    ...     summary = run_batch(path, folder=f"{home}/result", options=options)
+    3
+    >>> summary.rows[0]["status"], summary.rows[0]["error"].rpartition("gel.csv: ")[2]
+    ('failed', 'has the header t, R and no rows; export the curve again.')
+    """
+    if window < 1:
+        raise InputDataError(f"run_batch: window is {window}; expected at least 1.")
+    files, run = find_files(*paths), _Run(Path(folder), options)
+    old, order, wanted = _results(run.folder / SHOTS), [], []
+    for shot in _shots(files, options):
+        order.append(shot.name)
+        earlier = old.get(shot.key)
+        if shot.traces is None:
+            run.keep(shot, {"error": shot.error})
+        elif earlier is not None and earlier.get("shot") == shot.name:
+            run.rows[shot.name] = _row(shot, earlier)
+        elif earlier is not None:  # under another name
+            run.keep(shot, {name: value for name, value in earlier.items() if name not in ("shot", "file", "key")})
+        else:
+            wanted.append(shot)
+    if progress:
+        done = sum(row["status"] != FAILED for row in run.rows.values())
+        progress(f"{len(order)} shot(s) in {len(files)} file(s): {len(wanted)} to do, {done} done before")
+    if executor is None:
+        finished = ((shot, characterize_shot(shot.traces, options)) for shot in wanted)
+    else:
+        finished = _spread(wanted, options, executor, window)
+    try:
+        with closing(finished):
+            for number, (shot, document) in enumerate(finished, 1):
+                run.keep(shot, document)
+                if progress:
+                    progress(f"{number} of {len(wanted)}: {shot.name} {run.rows[shot.name]['status']}")
+    finally:
+        summary = BatchSummary(tuple(run.rows[name] for name in order if name in run.rows))
+        if summary.rows:
+            text = summary.to_csv().encode()
+            write_atomically(run.folder / "summary.csv", lambda stream: stream.write(text))
+    return summary
+
+
+def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[str, Any]:
+    """The result of one shot as a document, or ``{"error": ...}``: what a worker does."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        assert traces is not None
+        result = characterize(
+            traces,
+            prior=options.prior,
+            simulator=options.simulator,
+            estimate_noise=options.estimate_noise,
+            collapses=options.collapses,
+            rest_radius=options.rest_radius,
+            options=options.options,
+            seed=options.seed,
+        )
+        frames = sum(len(experiment.times) for experiment in result.experiments)
+        document = {"converged": result.assimilation.converged, "frames_fitted": frames, **result.to_dict()}
+        json.dumps(document, allow_nan=False)  # what cannot be written is an error of this shot
+        return document
+    except ImrError as error:
+        return {"error": str(error)}
+    except Exception as error:  # whatever a shot does, the others go on
+        return {"error": f"{type(error).__name__}: {error}"}
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _spread(
+    shots: Sequence[Shot], options: BatchOptions, executor: Executor | Callable[[], Executor], window: int
+) -> Generator[tuple[Shot, dict[str, Any]], None, None]:
+    """Results as they come from an executor. Shots in hand when it breaks are tried again one by one, to find the culprit."""
+    waiting, suspects = list(reversed(shots)), []
+    pool = executor if isinstance(executor, Executor) else executor()
+    running: dict[Future[dict[str, Any]], tuple[Shot, bool]] = {}
+    try:
+        while waiting or suspects or running:
+            alone = bool(suspects) or any(one for _, one in running.values())
+            while (suspects and not running) or (waiting and not alone and len(running) < window):
+                shot = suspects.pop() if alone else waiting.pop()
+                try:
+                    running[pool.submit(characterize_shot, shot.traces, options)] = (shot, alone)
+                except BrokenExecutor as error:  # it broke since the last look
+                    if isinstance(executor, Executor):
+                        yield shot, {"error": f"the executor no longer works ({error}); start the run again"}
+                        continue
+                    (suspects if alone else waiting).append(shot)
+                    pool = executor() if not running else pool
+                    break
+            ended, _ = wait(running, return_when=FIRST_COMPLETED)
+            broken = False
+            for future in ended:
+                shot, tried_alone = running.pop(future)
+                error = CancelledError() if future.cancelled() else future.exception()
+                if error is None:
+                    yield shot, future.result()
+                elif isinstance(error, BrokenExecutor) and not tried_alone and not isinstance(executor, Executor):
+                    suspects.append(shot)
+                    broken = True
+                else:
+                    broken = broken or isinstance(error, BrokenExecutor)
+                    why = f"{type(error).__name__}: {error}"
+                    yield shot, {"error": f"the worker that had it ended ({why}); give it more memory"}
+            if broken and not isinstance(executor, Executor):
+                suspects += [shot for shot, _ in running.values()]
+                running.clear()
+                pool.shutdown(wait=False, cancel_futures=True)
+                pool = executor()
+    finally:
+        if not isinstance(executor, Executor):
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:
+    """The shots of all files, read one after the other."""
+    of_options, names = options.key(), _names(files)
+    for path, name in zip(files, names, strict=True):
+        try:
+            traces, key = load_traces(path, layout=options.layout), _key(path, of_options)
+        except (ImrError, OSError) as error:
+            yield Shot(name, str(path), None, "", str(error))
+            continue
+        if not options.each or len(traces) == 1:
+            yield Shot(name, str(path), traces, key)
+            continue
+        for label in _unique([f"{name}_{_plain(trace.experiment_id)}" for trace in traces], traces.ids):
+            trace_id = traces.ids[label[0]]
+            yield Shot(label[1], str(path), traces.select([trace_id]), _hash(key, trace_id))
+
+
+def _key(path: Path, of_options: str) -> str:
+    """Hash of a file by name and content, of the JSON file beside it, and of the options."""
+    beside = path.with_suffix(".json")
+    contents = [path.read_bytes(), beside.read_bytes() if beside.is_file() and beside != path else b""]
+    return _hash(of_options, path.name, *(hashlib.sha256(content).hexdigest() for content in contents))
+
+
+def _hash(*parts: str) -> str:
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _names(files: Sequence[Path]) -> list[str]:
+    """Names of results: the stems of the files, with their folder and ending where stems clash."""
+    return [name for _, name in _unique([_plain(p.stem) for p in files], [f"{p.parent.name}_{p.name}" for p in files])]
+
+
+def _unique(names: Sequence[str], longer: Sequence[str]) -> list[tuple[int, str]]:
+    """Places and names, those that clash made longer, and numbered if they still do."""
+    chosen = [name if names.count(name) == 1 else _plain(long) for name, long in zip(names, longer, strict=True)]
+    seen: dict[str, int] = {}
+    found = []
+    for i, name in enumerate(chosen):
+        seen[name.lower()] = seen.get(name.lower(), 0) + 1
+        found.append((i, name if seen[name.lower()] == 1 else f"{name}_{seen[name.lower()]}"))
+    return found
+
+
+def _plain(label: str) -> str:
+    """A label as part of a file name."""
+    return "".join(c if c.isalnum() or c in "-_" else "_" for c in label)[:100] or "shot"
+
+
+def _results(folder: Path) -> dict[str, dict[str, Any]]:
+    """Results of earlier runs by their keys; files that cannot be read are made anew."""
+    found = {}
+    for path in sorted(folder.glob("*.json")) if folder.is_dir() else ():
+        try:
+            document = read_json(path)
+            SavedCharacterization.from_dict(document)
+            found[document["key"]] = document
+        except (InputDataError, KeyError, TypeError):
+            continue
+    return found
+
+
+def _row(shot: Shot, document: Mapping[str, Any]) -> dict[str, Any]:
+    """The line of a shot in the summary."""
+    row: dict[str, Any] = {"shot": shot.name, "file": shot.file}
+    if document.get("error"):
+        return {**row, "status": FAILED, "error": document["error"]}
+    saved = SavedCharacterization.from_dict(document, source=shot.name)
+    entry, experiments = document["models"][saved.best], document["experiments"]
+    row |= {
+        "status": DONE if document["converged"] else NOT_CONVERGED,
+        "curves": len(experiments),
+        "frames": document["frames_fitted"],
+        "We": sum(e["We"] for e in experiments) / len(experiments),
+        "R_inf*": sum(e["R_inf*"] for e in experiments) / len(experiments),
+        "model": saved.best,
+        "probability": saved.probabilities[saved.best],
+        "rmse": entry.get("rmse"),
+        "verdict": saved.verdict(),
+        "cpu_seconds": document.get("cpu_seconds"),
+    }
+    for name, (low, middle, high) in saved.intervals().items():
+        row |= {f"{name}_low": low, name: middle, f"{name}_high": high}
+    return row

@@ -1,0 +1,300 @@
+"""Comparison of two gels from their results: do they differ, in which parameter, and by how much.
+
+The difference and the ratio of a parameter are those of all pairs of weighed draws, one of each posterior. The Bayes factor of
+one gel against two with the same prior is the integral of ``p(theta | a) p(theta | b) / p(theta)``, which Gaussian posteriors
+give in closed form; it is stated only where the weighed draws confirm both Gaussians.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from imr_torch.errors import InputDataError
+from imr_torch.material import Belief, ModelBelief, material
+from imr_torch.saved import SavedCharacterization, WeighedDraws, to_dataframe
+
+if TYPE_CHECKING:
+    import pandas
+
+LEVELS = (0.05, 0.5, 0.95)
+DECISIVE = math.log(10.0)
+"""Log Bayes factor, nats, from which one of the two hypotheses is called right: odds of 10 to 1."""
+CLEAR = 0.975
+"""Probability from which a parameter is called larger where there is no Bayes factor."""
+
+_SHOWN = 30.0  # nats; a larger log Bayes factor rests on the far tails of the Gaussians
+
+
+@dataclass(frozen=True)
+class ParameterComparison:
+    """One parameter of two gels, ``a`` and ``b``.
+
+    Args:
+        name: of the parameter.
+        probability_greater: that it is greater in ``a``.
+        ratio: 5, 50 and 95 % quantile of a/b.
+        difference: of a - b, SI.
+    """
+
+    name: str
+    probability_greater: float
+    ratio: tuple[float, float, float]
+    difference: tuple[float, float, float]
+
+    @property
+    def clear(self) -> bool:
+        """Whether one of the two gels has more of it with a probability of 97.5 % or more."""
+        return max(self.probability_greater, 1.0 - self.probability_greater) >= CLEAR
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two gels compared.
+
+    Args:
+        names: of the two results.
+        model: whose parameters are compared.
+        parameters: one comparison per parameter.
+        log_bayes_factor: log of the probability of both data sets if the gels are one, over that if they are two, nats; None
+            where it cannot be had.
+        reason: why it cannot be had, else which models it is about.
+        cautions: what makes the numbers doubtful.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.compare import compare
+    >>> from imr_torch.saved import SavedCharacterization
+    >>> prior = wide_prior(["nhkv"])
+    >>> part = prior["nhkv"]
+    >>> def gel(shift):
+    ...     belief = prior.__class__((part.with_gaussian(part.mean + shift, 0.05 * part.chol),), prior.log_probabilities)
+    ...     answer = {"verdict": "trusted", "certificate": {"converged": True}}
+    ...     document = {"belief": belief.to_dict(), "prior": prior.to_dict(), "models": {"nhkv": answer}}
+    ...     return SavedCharacterization.from_dict(document)
+    >>> same, other = compare(gel(0.0), gel(0.01)), compare(gel(0.0), gel(0.5))
+    >>> same.verdict, other.verdict
+    ('same', 'different')
+    """
+
+    names: tuple[str, str]
+    model: str
+    parameters: tuple[ParameterComparison, ...]
+    log_bayes_factor: float | None
+    reason: str
+    cautions: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """``"same"``, ``"different"`` or ``"undecided"``."""
+        if self.log_bayes_factor is None:
+            return "different" if any(p.clear for p in self.parameters) else "undecided"
+        if abs(self.log_bayes_factor) < DECISIVE:
+            return "undecided"
+        return "same" if self.log_bayes_factor > 0.0 else "different"
+
+    def __getitem__(self, name: str) -> ParameterComparison:
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise InputDataError(f"No parameter {name!r}; {self.model!r} has {', '.join(p.name for p in self.parameters)}.")
+
+    def report(self) -> str:
+        """The comparison as text."""
+        a, b = self.names
+        sentences = {
+            "same": "The data speak for one gel.",
+            "different": "The gels differ.",
+            "undecided": "The data do not decide whether the gels differ.",
+        }
+        lines = [sentences[self.verdict]]
+        if self.log_bayes_factor is None:
+            lines.append(f"No Bayes factor: {self.reason}.")
+        else:
+            value = self.log_bayes_factor
+            shown = f"{value:.1f}" if abs(value) <= _SHOWN else f"{'below -' if value < 0 else 'above '}{_SHOWN:.0f}"
+            lines.append(f"log Bayes factor, one gel against two with the same prior: {shown} nats ({self.reason})")
+        lines.append(f"\n{material(self.model).title}: a = {a}, b = {b}")
+        scales = {p.name: p for p in material(self.model).parameters}
+        for p in self.parameters:
+            entry = scales[p.name]
+            unit = entry.display_unit or ("" if entry.unit == "1" else entry.unit)
+            low, middle, high = (entry.display_scale * x for x in p.difference)
+            lines.append(
+                f"  {p.name:6s} a/b {p.ratio[1]:.3g} (90 %: {p.ratio[0]:.3g} to {p.ratio[2]:.3g}), "
+                f"a - b {middle:.3g} {unit} ({low:.3g} to {high:.3g}), P(a > b) {_probability(p.probability_greater)}"
+            )
+        return "\n".join([*lines, *(f"Caution: {text}." for text in self.cautions)])
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per parameter."""
+        return [
+            {
+                "parameter": p.name,
+                "probability_greater": p.probability_greater,
+                **{f"ratio_{level}": x for level, x in zip(("low", "median", "high"), p.ratio, strict=True)},
+                **{f"difference_{level}": x for level, x in zip(("low", "median", "high"), p.difference, strict=True)},
+            }
+            for p in self.parameters
+        ]
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """:meth:`rows` as a table; needs pandas."""
+        return to_dataframe(self.rows())
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready values."""
+        return {
+            "a": self.names[0],
+            "b": self.names[1],
+            "verdict": self.verdict,
+            "model": self.model,
+            "log_bayes_factor": self.log_bayes_factor,
+            "reason": self.reason,
+            "parameters": self.rows(),
+            "cautions": list(self.cautions),
+        }
+
+
+def _probability(value: float) -> str:
+    return "> 0.999" if value > 0.999 else "< 0.001" if value < 0.001 else f"{value:.3f}"
+
+
+def compare(
+    a: SavedCharacterization,
+    b: SavedCharacterization,
+    *,
+    model: str | None = None,
+    names: tuple[str, str] | None = None,
+) -> Comparison:
+    """Compare two gels whose data are independent.
+
+    Args:
+        a: result of the first.
+        b: result of the second.
+        model: whose parameters are compared; the most probable of both together when not given.
+        names: what they are called; their files when not given.
+
+    Raises:
+        InputDataError: if the results have no model in common, or not the one that was asked for.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.compare import compare
+    >>> from imr_torch.saved import SavedCharacterization
+    >>> gel = SavedCharacterization.from_dict({"belief": wide_prior(["nhkv"]).to_dict(), "models": {"nhkv": {}}})
+    >>> comparison = compare(gel, gel)
+    >>> comparison.verdict, comparison.log_bayes_factor
+    ('undecided', None)
+    """
+    common = [key for key in a.posterior.keys if key in b.posterior.keys]
+    if not common:
+        raise InputDataError(
+            f"{a.source} has the models {', '.join(a.posterior.keys)} and {b.source} {', '.join(b.posterior.keys)}; fit a "
+            "model to both with --models."
+        )
+    if model is not None and model not in common:
+        raise InputDataError(f"--model is {model!r}; both results have {', '.join(common)}.")
+    chosen = model or max(common, key=lambda key: a.probabilities[key] * b.probabilities[key])
+    draws = a.draws(chosen), b.draws(chosen, seed=1)
+    parameters = tuple(_parameter(name, *draws) for name in draws[0].names)
+    value, reason = _log_bayes_factor(a, b, common if model is None else [chosen])
+    labels = names or (a.source, b.source)
+    return Comparison(labels, chosen, parameters, value, reason, tuple(_cautions(a, b, chosen, labels)))
+
+
+def _parameter(name: str, a: WeighedDraws, b: WeighedDraws) -> ParameterComparison:
+    """A parameter over all pairs of draws."""
+    first, second = (draws.values[:, draws.names.index(name)] for draws in (a, b))
+    weights = (a.weights[:, None] * b.weights).flatten()
+    difference = (first[:, None] - second).flatten()
+    ratio = (first[:, None] / second).flatten()
+    greater = float((weights * ((difference > 0.0).double() + 0.5 * (difference == 0.0))).sum())
+    return ParameterComparison(name, min(greater, 1.0), _quantiles(ratio, weights), _quantiles(difference, weights))
+
+
+def _quantiles(values: Tensor, weights: Tensor) -> tuple[float, float, float]:
+    """5, 50 and 95 % quantile of weighed values."""
+    order = values.argsort()
+    below = weights[order].cumsum(0)
+    places = torch.searchsorted(below, torch.tensor(LEVELS, dtype=below.dtype) * below[-1]).clamp_max(len(values) - 1)
+    low, middle, high = values[order][places].tolist()
+    return low, middle, high
+
+
+def _cautions(a: SavedCharacterization, b: SavedCharacterization, model: str, names: Sequence[str]) -> list[str]:
+    found = []
+    for result, name in ((a, names[0]), (b, names[1])):
+        if not result.converged(model):
+            found.append(f"the fit of {model} to {name} has not converged")
+        if result.verdict(model) == "refused":
+            found.append(f"neither the Gaussian of {name} nor its weighed draws are reliable")
+        if not result.draws(model).weighed:
+            found.append(f"{name} holds no weighed draws, so its Gaussian approximation is drawn from")
+    if a.document == b.document:
+        found.append("the two results are the same, so their data are not independent")
+    return found
+
+
+def _log_bayes_factor(a: SavedCharacterization, b: SavedCharacterization, models: Sequence[str]) -> tuple[float | None, str]:
+    """Log Bayes factor of one gel against two, and what it is about or why there is none.
+
+    Over several models, ``sum_m P(m | a) P(m | b) / P(m) B_m``, where ``B_m`` is the factor within a model.
+    """
+    if a.prior is None or b.prior is None:
+        return None, "a result does not hold its prior; characterise the gel again"
+    every = models if len(models) > 1 else None
+    if every and not (set(a.prior.keys) == set(b.prior.keys) == set(models)):
+        return None, "the candidate models of the two results differ; name one with --model"
+    if every and not torch.allclose(_log_priors(a.prior, models), _log_priors(b.prior, models)):
+        return None, "the prior probabilities of the models differ"
+    terms = []
+    for key in models:
+        if not _same_prior(a.prior[key], b.prior[key]):
+            return None, f"the priors of {key} differ between the two results; characterise both with the same one"
+        weight = 0.0
+        if every:
+            logs = [float(_log_priors(x, [key])) for x in (a.posterior, b.posterior, a.prior)]
+            weight = logs[0] + logs[1] - logs[2]
+            if weight < -_SHOWN:
+                continue
+        wrong = next((x for x in (a, b) if x.verdict(key) != "trusted"), None)
+        if wrong is not None:
+            return None, f"the posterior of {key} from {wrong.source} is not Gaussian by its weighed draws"
+        factor = _gaussian_factor(a.posterior[key], b.posterior[key], a.prior[key])
+        if factor is None:
+            return None, f"a posterior of {key} is hardly narrower than its prior"
+        terms.append(weight + factor)
+    if not terms:
+        return None, "no model is probable for both gels"
+    about = f"within {models[0]}" if every is None else f"over {', '.join(models)}"
+    return float(torch.logsumexp(torch.tensor(terms, dtype=torch.float64), 0)), about
+
+
+def _log_priors(belief: Belief, models: Sequence[str]) -> Tensor:
+    return torch.stack([belief.log_probabilities[belief.keys.index(key)] for key in models])
+
+
+def _same_prior(a: ModelBelief, b: ModelBelief) -> bool:
+    same = a.marginals == b.marginals and dict(a.known) == dict(b.known)
+    return same and torch.allclose(a.mean, b.mean) and torch.allclose(a.chol, b.chol)
+
+
+def _gaussian_factor(a: ModelBelief, b: ModelBelief, prior: ModelBelief) -> float | None:
+    """Log of the integral of ``N_a N_b / N_prior`` over the controls; None where it does not exist."""
+    eye = torch.eye(len(prior.mean), dtype=prior.mean.dtype)
+    forms = []
+    for part in (a, b, prior):
+        precision = torch.cholesky_solve(eye, part.chol)
+        linear = precision @ part.mean
+        constant = -0.5 * part.mean @ linear - part.chol.diagonal().log().sum()
+        forms.append((precision, linear, constant))
+    precision = forms[0][0] + forms[1][0] - forms[2][0]
+    linear = forms[0][1] + forms[1][1] - forms[2][1]
+    root, failed = torch.linalg.cholesky_ex(precision)
+    if int(failed):
+        return None
+    mean = torch.cholesky_solve(linear[:, None], root)[:, 0]
+    constant = forms[0][2] + forms[1][2] - forms[2][2]  # the factors of 2 pi cancel
+    return float(constant + 0.5 * linear @ mean - root.diagonal().log().sum())

@@ -1,0 +1,197 @@
+"""Results of :func:`imr_torch.characterize`, read from their JSON files: posterior, weighed draws, a table.
+
+A result file holds all that is needed to compare gels and to go on from a posterior, not the fits themselves.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import Assimilation
+from imr_torch.errors import InputDataError, UnsupportedError
+from imr_torch.files import read_json
+from imr_torch.material import Belief, material
+
+if TYPE_CHECKING:
+    import pandas
+
+_GAUSSIAN_DRAWS = 400
+_EXPECTED = "expected a result of imr-torch characterize (--json or --out)"
+
+
+@dataclass(frozen=True)
+class WeighedDraws:
+    """Draws of one model's parameters with their posterior weights.
+
+    Args:
+        names: the free parameters.
+        values: ``n x d`` tensor, SI.
+        weights: ``n`` tensor, sums to 1.
+        weighed: whether the weights are those of the exact posterior; if not, the draws are of its Gaussian approximation.
+    """
+
+    names: tuple[str, ...]
+    values: Tensor
+    weights: Tensor
+    weighed: bool
+
+
+def draws_to_dict(assimilation: Assimilation) -> dict[str, Any]:
+    """The weighed draws of each model that has some, JSON-ready: ``weights`` and one list of SI values per parameter."""
+    found = {}
+    for fit in assimilation.fits:
+        if fit.sample is None:
+            continue
+        values = fit.prior.physical(fit.prior.unwhitened(fit.sample.controls))
+        columns = {name: values[:, i].tolist() for i, name in enumerate(fit.prior.names)}
+        found[fit.model] = {"weights": fit.sample.weights.tolist(), "values": columns}
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class SavedCharacterization:
+    """A result that was written as JSON.
+
+    Args:
+        document: what the file holds.
+        posterior: parameters and model probabilities after the data.
+        prior: the same before the data; None in files that do not hold it.
+        source: where it comes from, for messages.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.saved import SavedCharacterization
+    >>> belief = wide_prior(["nhkv"])
+    >>> intervals = {"G": [1.0, 2.0, 3.0], "mu": [0.1, 0.2, 0.3]}
+    >>> saved = SavedCharacterization.from_dict({"belief": belief.to_dict(), "models": {"nhkv": {"intervals": intervals}}})
+    >>> [(row["parameter"], row["median"]) for row in saved.rows()]
+    [('G', 2.0), ('mu', 0.2)]
+    """
+
+    document: Mapping[str, Any]
+    posterior: Belief
+    prior: Belief | None = None
+    source: str = "result"
+
+    @classmethod
+    def load(cls, path: str | Path) -> "SavedCharacterization":
+        """Read a result that :meth:`imr_torch.Characterization.save` or the command line wrote.
+
+        Raises:
+            InputDataError: if the file cannot be read, or holds no such result.
+        """
+        return cls.from_dict(read_json(path, expected=_EXPECTED), source=str(path))
+
+    @classmethod
+    def from_dict(cls, document: Any, *, source: str = "result") -> "SavedCharacterization":
+        """The result of a JSON document.
+
+        Raises:
+            InputDataError: if the document is of another kind.
+        """
+        if isinstance(document, dict) and "each" in document:
+            raise InputDataError(f"{source}: holds the results of several curves (--each); run imr-torch batch --each instead.")
+        if not isinstance(document, dict) or not isinstance(document.get("models"), dict) or "belief" not in document:
+            raise InputDataError(f"{source}: holds no 'models' and 'belief'; {_EXPECTED}.")
+        try:
+            before = document.get("prior")
+            posterior = Belief.from_dict(document["belief"])
+            prior = None if before is None else Belief.from_dict(before)
+        except InputDataError as error:
+            raise InputDataError(f"{source}: {error}") from None
+        missing = [key for key in posterior.keys if not isinstance(document["models"].get(key), dict)]
+        if missing:
+            raise InputDataError(f"{source}: 'models' lacks {missing[0]!r}, which 'belief' has; {_EXPECTED}.")
+        return cls(document, posterior, prior, source)
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Model key -> probability."""
+        return self.posterior.probabilities
+
+    @property
+    def best(self) -> str:
+        """Key of the most probable model."""
+        return self.posterior.best.model
+
+    def intervals(self, model: str | None = None) -> dict[str, list[float]]:
+        """Parameter -> [5 %, 50 %, 95 %] quantile of a model (the most probable when not given), SI."""
+        return dict(self._model(model).get("intervals", {}))
+
+    def verdict(self, model: str | None = None) -> str:
+        """Whether the Gaussian of a model is to be used: ``"trusted"``, ``"repaired"``, ``"refused"`` or ``"unchecked"``."""
+        return str(self._model(model).get("verdict", "unchecked"))
+
+    def converged(self, model: str | None = None) -> bool:
+        """Whether the fit of a model has converged."""
+        return bool(self._model(model).get("certificate", {}).get("converged", False))
+
+    def _model(self, model: str | None) -> Mapping[str, Any]:
+        return self.document["models"][self.posterior[model or self.best].model]
+
+    def draws(self, model: str | None = None, *, seed: int = 0) -> WeighedDraws:
+        """Weighed draws of a model; of its Gaussian approximation where the file holds none.
+
+        Raises:
+            InputDataError: if the model is not part of the result, or its draws are incomplete.
+        """
+        part = self.posterior[model or self.best]
+        entry = self.document.get("weighed_draws", {}).get(part.model)
+        if entry is None:
+            values = part.physical(part.controls(_GAUSSIAN_DRAWS, seed=seed))
+            return WeighedDraws(part.names, values, torch.full((len(values),), 1.0 / len(values), dtype=values.dtype), False)
+        try:
+            values = torch.tensor([entry["values"][name] for name in part.names], dtype=torch.float64).mT
+            weights = torch.tensor(entry["weights"], dtype=torch.float64)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputDataError(f"{self.source}: draws of {part.model!r} are not whole ({error}); {_EXPECTED}.") from None
+        if weights.shape != values.shape[:1] or not bool((weights >= 0.0).all()) or not float(weights.sum()) > 0.0:
+            raise InputDataError(f"{self.source}: draws of {part.model!r} have no weights that fit them; {_EXPECTED}.")
+        return WeighedDraws(part.names, values, weights / weights.sum(), True)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per model and parameter: SI quantiles, probability and certificate of the model."""
+        found = []
+        for key in self.posterior.keys:
+            entry, units = self._model(key), {p.name: p.unit for p in material(key).parameters}
+            for name, (low, middle, high) in self.intervals(key).items():
+                found.append(
+                    {
+                        "model": key,
+                        "probability": self.probabilities[key],
+                        "parameter": name,
+                        "unit": units[name],
+                        "low": low,
+                        "median": middle,
+                        "high": high,
+                        "converged": self.converged(key),
+                        "verdict": self.verdict(key),
+                        "rmse": entry.get("rmse"),
+                        "log_evidence": entry.get("log_evidence"),
+                    }
+                )
+        return found
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """:meth:`rows` as a table; needs pandas."""
+        return to_dataframe(self.rows())
+
+
+def to_dataframe(rows: Sequence[Mapping[str, Any]]) -> "pandas.DataFrame":
+    """Rows as a table.
+
+    Raises:
+        UnsupportedError: if pandas is not installed.
+
+    >>> from imr_torch.saved import to_dataframe
+    >>> to_dataframe([{"shot": "a", "G": 5000.0}]).shape
+    (1, 2)
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise UnsupportedError("to_dataframe needs pandas: pip install pandas; rows() gives the same as a list.") from None
+    return pandas.DataFrame([dict(row) for row in rows])

@@ -1,0 +1,313 @@
+"""Many shots: every file has a result or a reason, runs resume, and pools that break cost only their shot."""
+
+import csv
+import json
+import re
+import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import pytest
+import torch
+
+import imr_torch.batch as batch
+from imr_torch import Characterization, PolytropicSimulator, characterize, wide_prior
+from imr_torch.assimilate import SearchOptions
+from imr_torch.batch import BatchOptions, BatchSummary, characterize_shot, run_batch
+from imr_torch.batch_page import plot_shots, write_summary
+from imr_torch.cli import main
+from imr_torch.errors import InputDataError, UnsupportedError
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import load_traces
+from imr_torch.saved import SavedCharacterization, to_dataframe
+from imr_torch.simulate import process_pool
+from imr_torch.units import Surroundings
+from tests.workers import fatal
+
+SIZE = 221e-6
+OPTIONS = BatchOptions(
+    wide_prior(["nhkv"]),
+    PolytropicSimulator(threads=1),
+    rest_radius=(0.2, 0.002),
+    estimate_noise=False,
+    options=SearchOptions(scouts=16, starts=2),
+)
+
+
+def curve(stiffness: float) -> str:
+    """A table of one simulated bubble."""
+    times = torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
+    gel = PARAMETERS.pack({"G": stiffness, "mu": 0.093})
+    bubble = PolytropicSimulator()(gel, torch.tensor([200.0, 0.2]).double(), times)
+    seconds = times * Surroundings().time_scale(SIZE)
+    return "t (us),R (um)\n" + "".join(
+        f"{1e6 * t},{1e6 * SIZE * r}\n" for t, r in zip(seconds.tolist(), bubble.radius.flatten().tolist(), strict=True)
+    )
+
+
+@pytest.fixture
+def shots(tmp_path: Path) -> Path:
+    """A folder with three curves and a file that is none."""
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for i, stiffness in enumerate((4e3, 8e3, 1.6e4)):
+        (folder / f"gel_{i}.csv").write_text(curve(stiffness))
+    (folder / "bad.csv").write_text("nothing")
+    return folder
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Ids of the shots that were characterised."""
+    done: list[str] = []
+
+    def counted(traces, options):
+        done.append(traces.ids[0])
+        return characterize_shot(traces, options)
+
+    monkeypatch.setattr(batch, "characterize_shot", counted)
+    return done
+
+
+def test_that_every_file_has_a_result_or_a_reason(shots: Path, tmp_path: Path) -> None:
+    summary = run_batch(shots, folder=tmp_path / "out", options=OPTIONS)
+    assert [(row["shot"], row["status"]) for row in summary.rows] == [
+        ("bad", "failed"),
+        ("gel_0", "done"),
+        ("gel_1", "done"),
+        ("gel_2", "done"),
+    ]
+    assert "bad.csv: has the header nothing and no rows" in summary.rows[0]["error"]
+    for row, truth in zip(summary.rows[1:], (4e3, 8e3, 1.6e4), strict=True):
+        assert row["G_low"] < truth < row["G_high"]
+        assert row["We"] == pytest.approx(200.0, rel=0.01)
+        saved = SavedCharacterization.load(tmp_path / "out" / "shots" / f"{row['shot']}.json")
+        assert saved.intervals()["G"] == [row["G_low"], row["G"], row["G_high"]]
+        assert saved.draws().weighed
+    with (tmp_path / "out" / "summary.csv").open() as stream:
+        read = list(csv.DictReader(stream))
+    assert [float(row["G"]) for row in read[1:]] == [row["G"] for row in summary.rows[1:]]
+    assert summary.report().splitlines()[0] == "4 shot(s): 3 done, 0 not converged, 1 failed"
+    frame = summary.to_dataframe()
+    assert frame["G"].notna().sum() == 3
+
+
+def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(shots: Path, tmp_path: Path) -> None:
+    result = characterize(
+        load_traces(shots / "gel_1.csv"),
+        prior=OPTIONS.prior,
+        simulator=OPTIONS.simulator,
+        rest_radius=OPTIONS.rest_radius,
+        estimate_noise=False,
+        options=OPTIONS.options,
+    )
+    result.save(tmp_path / "gel.json")
+    saved = Characterization.load(tmp_path / "gel.json")
+    assert saved.posterior.to_dict() == result.posterior.to_dict()
+    assert saved.prior is not None
+    assert saved.prior.to_dict() == OPTIONS.prior.to_dict()
+    fit = result.assimilation["nhkv"]
+    assert fit.sample is not None
+    draws = saved.draws()
+    torch.testing.assert_close(draws.weights, fit.sample.weights)
+    mean = draws.weights @ draws.values
+    torch.testing.assert_close(mean, result.posterior["nhkv"].means, rtol=0.02, atol=0.0)
+    assert saved.verdict() == fit.verdict.name.lower()
+    assert saved.converged() == fit.certificate.converged
+    frame = result.to_dataframe()
+    assert list(frame["parameter"]) == ["G", "mu"]
+    assert frame.equals(saved.to_dataframe())
+
+
+def test_that_a_table_needs_pandas_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(UnsupportedError, match=r"to_dataframe needs pandas: pip install pandas; rows\(\) gives the same"):
+        to_dataframe([{"a": 1}])
+
+
+def test_that_a_run_goes_on_with_what_is_missing_or_has_changed(shots: Path, tmp_path: Path, calls: list[str]) -> None:
+    out = tmp_path / "out"
+    first = run_batch(shots, folder=out, options=OPTIONS)
+    assert calls == ["gel_0", "gel_1", "gel_2"]
+    again = run_batch(shots, folder=out, options=OPTIONS)
+    assert len(calls) == 3
+    assert again == first
+    (out / "shots" / "gel_1.json").unlink()
+    (out / "shots" / "gel_0.json").write_text('{"key": "cut off')
+    run_batch(shots, folder=out, options=OPTIONS)
+    assert sorted(calls[3:]) == ["gel_0", "gel_1"]
+    (shots / "gel_2.csv").write_text(curve(2e4))
+    changed = run_batch(shots, folder=out, options=OPTIONS)
+    assert calls[5:] == ["gel_2"]
+    assert changed.rows[3]["G"] > first.rows[3]["G"]
+    (shots / "gel_2.json").write_text(json.dumps({"medium": "agarose"}))
+    run_batch(shots, folder=out, options=OPTIONS)
+    assert calls[6:] == ["gel_2"]
+    other = BatchOptions(**{**vars(OPTIONS), "seed": 1})
+    run_batch(shots, folder=out, options=other)
+    assert calls[7:] == ["gel_0", "gel_1", "gel_2"]
+
+
+def test_that_an_interrupted_run_keeps_what_is_done(shots: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, done = tmp_path / "out", []
+
+    def interrupted(traces, options):
+        if len(done) == 1:
+            raise KeyboardInterrupt
+        done.append(traces.ids[0])
+        return characterize_shot(traces, options)
+
+    monkeypatch.setattr(batch, "characterize_shot", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(shots, folder=out, options=OPTIONS)
+    assert [path.name for path in (out / "shots").iterdir()] == ["gel_0.json"]
+    assert len((out / "summary.csv").read_text().splitlines()) == 3
+
+
+def test_that_a_file_that_turns_bad_loses_its_old_result(shots: Path, tmp_path: Path) -> None:
+    run_batch(shots / "gel_0.csv", folder=tmp_path, options=OPTIONS)
+    (shots / "gel_0.csv").write_text("t,R\n")
+    summary = run_batch(shots / "gel_0.csv", folder=tmp_path, options=OPTIONS)
+    assert summary.rows[0]["status"] == "failed"
+    assert list((tmp_path / "shots").iterdir()) == []
+
+
+def test_that_any_executor_gives_the_same_results(shots: Path, tmp_path: Path) -> None:
+    alone = run_batch(shots, folder=tmp_path / "a", options=OPTIONS)
+    with ThreadPoolExecutor(2) as executor:
+        together = run_batch(shots, folder=tmp_path / "b", options=OPTIONS, executor=executor)
+    drop = {"cpu_seconds"}
+    for a, b in zip(alone.rows, together.rows, strict=True):
+        assert {k: v for k, v in a.items() if k not in drop} == {k: v for k, v in b.items() if k not in drop}
+
+
+def test_that_a_worker_that_dies_costs_its_own_shot_alone(shots: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch, "characterize_shot", fatal)
+    summary = run_batch(shots, folder=tmp_path / "out", options=OPTIONS, executor=partial(process_pool, 2), window=2)
+    errors = {row["shot"]: row["error"] for row in summary.rows}
+    assert errors["gel_0"] == "gel_0 was here"
+    assert errors["gel_2"] == "gel_2 was here"
+    assert "the worker that had it ended (BrokenProcessPool" in errors["gel_1"]
+
+
+def test_that_an_error_of_any_kind_in_a_shot_is_its_own(shots: Path) -> None:
+    broken = BatchOptions(**{**vars(OPTIONS), "simulator": object()})
+    document = characterize_shot(load_traces(shots / "gel_0.csv"), broken)
+    assert list(document) == ["error"]
+
+
+def test_that_curves_of_a_file_are_one_shot_or_each_its_own(tmp_path: Path, calls: list[str]) -> None:
+    lines = curve(8e3).splitlines()[1:]
+    (tmp_path / "gel.csv").write_text("t (us),R1 (um),R2 (um)\n" + "".join(f"{x},{x.split(',')[1]}\n" for x in lines))
+    together = run_batch(tmp_path / "gel.csv", folder=tmp_path / "a", options=OPTIONS)
+    assert [(row["shot"], row["curves"]) for row in together.rows] == [("gel", 2)]
+    each = run_batch(tmp_path / "gel.csv", folder=tmp_path / "b", options=BatchOptions(**{**vars(OPTIONS), "each": True}))
+    assert [(row["shot"], row["curves"]) for row in each.rows] == [("gel_R1__um_", 1), ("gel_R2__um_", 1)]
+    assert each.rows[0]["G_high"] - each.rows[0]["G_low"] > 1.2 * (together.rows[0]["G_high"] - together.rows[0]["G_low"])
+
+
+def test_that_files_of_one_name_have_results_of_their_own(tmp_path: Path, calls: list[str]) -> None:
+    for day in ("day1", "day2"):
+        (tmp_path / day).mkdir()
+        (tmp_path / day / "gel.csv").write_text("t,R\n")
+    summary = run_batch(tmp_path / "day1", tmp_path / "day2", folder=tmp_path / "out", options=OPTIONS)
+    assert [row["shot"] for row in summary.rows] == ["day1_gel_csv", "day2_gel_csv"]
+
+
+ROWS = (
+    {"shot": "a<b", "status": "done", "file": "a", "curves": 1, "frames": 9, "We": 300.0, "R_inf*": 0.2, "model": "nhkv"}
+    | {"probability": 1.0, "rmse": 0.01, "G_low": 4e3, "G": 5e3, "G_high": 6e3, "mu_low": 0.1, "mu": 0.2, "mu_high": 0.3},
+    {"shot": "b", "status": "failed", "file": "b", "error": "no <bubble>"},
+)
+
+
+def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter(tmp_path: Path) -> None:
+    text = write_summary(BatchSummary(ROWS), tmp_path / "summary.html").read_text()
+    assert text.count("<tr") == 3
+    assert text.count("data:image/png;base64,") == 2
+    assert "a&lt;b" in text
+    assert "no &lt;bubble&gt;" in text
+    assert "5 (4 to 6)" in text  # kPa
+    ax = plot_shots(BatchSummary(ROWS), "G")
+    assert ax.get_ylabel() == "G (kPa)"
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["a<b"]
+
+
+COMMAND = ["--models", "nhkv", "--physics", "polytropic", "--quiet", "--rest-radius", "0.2:0.002", "--noise", "published"]
+
+
+def test_that_the_command_writes_all_and_tells_of_failures(shots: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    assert main(["batch", str(shots), "--out", str(out), "--workers", "1", *COMMAND]) == 2
+    captured = capsys.readouterr()
+    assert "4 shot(s): 3 done, 0 not converged, 1 failed" in captured.out
+    assert "1 of 4 shots have no result, for the reasons above; the others are written" in captured.err
+    assert {path.name for path in out.iterdir()} == {"shots", "summary.csv", "summary.html", "batch.json"}
+    assert len(json.loads((out / "batch.json").read_text())["shots"]) == 4
+    (shots / "bad.csv").unlink()
+    assert main(["batch", str(shots), "--out", str(out), "--workers", "1", *COMMAND]) == 0
+    assert "3 shot(s): 3 done, 0 not converged, 0 failed" in capsys.readouterr().out
+    results = [str(out / "shots" / f"gel_{i}.json") for i in (0, 2)]
+    assert main(["compare", *results, "--json", str(tmp_path / "compare.json")]) == 0
+    assert "The gels differ." in capsys.readouterr().out
+    found = json.loads((tmp_path / "compare.json").read_text())
+    assert found["verdict"] == "different"
+    assert found["parameters"][0]["ratio_median"] == pytest.approx(0.25, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["{in}", "--out", "{in}"], "the folder of the curves; name another one"),
+        (["{in}", "--out", "{in}/bad.csv"], "--out is .*bad.csv', which is a file; give another name"),
+        (["{in}", "--out", "{out}", "--workers", "0"], "--workers is 0; expected at least 1"),
+        (["{in}", "--out", "{out}", "--collapses", "0"], "--collapses is 0; expected at least 1"),
+        (["{in}", "--out", "{out}", "--workers", "2", "--cluster", "x"], "--workers and --cluster both say who does the work"),
+        (["{in}/none*", "--out", "{out}"], "no file fits this pattern"),
+        (["{in}", "--out", "{out}", "--layout", "radius"], "--layout: cannot use 'radius'"),
+    ],
+)
+def test_that_bad_options_end_with_a_message_before_any_work(arguments, message, shots: Path, tmp_path: Path, capsys) -> None:
+    names = {"in": shots, "out": tmp_path / "out"}
+    assert main(["batch", *(a.format(**names) for a in arguments), "--quiet"]) == 2
+    assert re.search(message, capsys.readouterr().err)
+    assert not (tmp_path / "out").exists()
+
+
+def test_that_a_scheduler_that_does_not_answer_is_named(shots: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("imr_torch.cli.batch._ANSWER_WITHIN", 1)
+    assert main(["batch", str(shots), "--out", str(tmp_path / "out"), "--cluster", "tcp://127.0.0.1:9", *COMMAND]) == 2
+    assert "--cluster: no scheduler answers at 'tcp://127.0.0.1:9'" in capsys.readouterr().err
+
+
+def test_that_a_window_below_one_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputDataError, match="window is 0; expected at least 1"):
+        run_batch(tmp_path, folder=tmp_path, options=OPTIONS, window=0)
+
+
+def test_that_no_more_shots_than_the_window_are_in_hand(shots: Path, tmp_path: Path, calls: list[str]) -> None:
+    class Counting(ThreadPoolExecutor):
+        handed = most = 0
+
+        def submit(self, *args, **kwargs) -> Future:
+            self.handed += 1
+            self.most = max(self.most, self.handed)
+            future = super().submit(*args, **kwargs)
+            future.add_done_callback(lambda _: setattr(self, "handed", self.handed - 1))
+            return future
+
+    with Counting(1) as executor:
+        run_batch(shots, folder=tmp_path / "out", options=OPTIONS, executor=executor, window=2)
+    assert executor.most <= 2
+    assert sorted(calls) == ["gel_0", "gel_1", "gel_2"]
+
+
+def test_that_the_workers_of_a_dask_cluster_do_it(shots: Path, tmp_path: Path, capsys) -> None:
+    distributed = pytest.importorskip("distributed")
+    place = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    with distributed.LocalCluster(protocol="tcp://", host="127.0.0.1", **place) as cluster:
+        arguments = ["batch", str(shots), "--out", str(tmp_path / "out"), "--cluster", cluster.scheduler_address]
+        assert main([*arguments, *COMMAND]) == 2
+    assert "4 shot(s): 3 done, 0 not converged, 1 failed" in capsys.readouterr().out

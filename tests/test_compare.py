@@ -1,0 +1,160 @@
+"""Comparison of two gels: closed forms for Gaussians, weighed draws as they are, and silence where there is no basis."""
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from imr_torch.cli import main
+from imr_torch.compare import compare
+from imr_torch.errors import InputDataError
+from imr_torch.material import Belief, wide_prior
+from imr_torch.saved import SavedCharacterization
+
+PRIOR = wide_prior(["nhkv"])
+TRUSTED = {"verdict": "trusted", "certificate": {"converged": True}}
+
+
+def gel(datum: tuple[float, float], sd: float, *, prior: Belief = PRIOR, **changes: Any) -> SavedCharacterization:
+    """The result for a datum of each control with independent noise, under a standard normal prior."""
+    precision = 1.0 + 1.0 / sd**2
+    mean = torch.tensor(datum, dtype=torch.float64) / sd**2 / precision
+    chol = torch.eye(2, dtype=torch.float64) / math.sqrt(precision)
+    belief = Belief(tuple(part.with_gaussian(mean, chol) for part in prior.models), prior.log_probabilities)
+    models = {part.model: TRUSTED for part in prior.models}
+    document = {"prior": prior.to_dict(), "belief": belief.to_dict(), "models": models, **changes}
+    return SavedCharacterization.from_dict(document, source=f"gel {datum}")
+
+
+def evidence(data: torch.Tensor, sd: float) -> float:
+    """Log density of repeated data of one gel's control, its control integrated out."""
+    count = len(data)
+    covariance = sd**2 * torch.eye(count, dtype=torch.float64) + 1.0
+    normal = torch.distributions.MultivariateNormal(torch.zeros(count, dtype=torch.float64), covariance)
+    return float(normal.log_prob(data))
+
+
+@pytest.mark.parametrize("other", [(0.3, -0.2), (0.5, 0.0), (2.0, -0.2)])
+def test_that_the_bayes_factor_is_that_of_the_closed_form(other: tuple[float, float]) -> None:
+    one, sd = (0.3, -0.2), 0.25
+    together = sum(evidence(torch.tensor([x, y], dtype=torch.float64), sd) for x, y in zip(one, other, strict=True))
+    apart = sum(evidence(torch.tensor([x], dtype=torch.float64), sd) for x in (*one, *other))
+    found = compare(gel(one, sd), gel(other, sd))
+    assert found.log_bayes_factor == pytest.approx(together - apart, abs=1e-9)
+
+
+def test_that_models_count_by_their_probabilities() -> None:
+    prior = wide_prior(["nhkv", "newtonian"])
+    twins = []
+    for _ in range(2):
+        part = prior["nhkv"]
+        nhkv = part.with_gaussian(part.mean, 0.1 * part.chol)
+        other = prior["newtonian"].with_gaussian(prior["newtonian"].mean, 0.1 * prior["newtonian"].chol)
+        belief = Belief((nhkv, other), torch.log(torch.tensor([0.9, 0.1], dtype=torch.float64)))
+        models = {"nhkv": TRUSTED, "newtonian": TRUSTED}
+        twins.append(SavedCharacterization.from_dict({"prior": prior.to_dict(), "belief": belief.to_dict(), "models": models}))
+    overlap = -0.5 * math.log(0.01 * (2 - 0.01))  # of one control, sd .1 in both, 1 in the prior
+    expected = math.log(0.9 * 0.9 / 0.5 * math.exp(2 * overlap) + 0.1 * 0.1 / 0.5 * math.exp(overlap))
+    assert compare(*twins).log_bayes_factor == pytest.approx(expected, abs=1e-9)
+    assert compare(*twins, model="nhkv").log_bayes_factor == pytest.approx(2 * overlap, abs=1e-9)
+
+
+def test_that_same_gels_are_called_the_same_and_others_different() -> None:
+    assert compare(gel((0.3, 0.0), 0.02), gel((0.31, 0.0), 0.02)).verdict == "same"
+    assert compare(gel((0.3, 0.0), 0.02), gel((0.9, 0.0), 0.02)).verdict == "different"
+    assert compare(gel((0.3, 0.0), 0.9), gel((0.9, 0.0), 0.9)).verdict == "undecided"
+
+
+def test_that_parameters_are_compared_over_all_pairs_of_weighed_draws() -> None:
+    def with_draws(stiffness: list[float], weights: list[float]) -> SavedCharacterization:
+        values = {"G": stiffness, "mu": [0.1] * len(stiffness)}
+        return gel((0.0, 0.0), 0.1, weighed_draws={"nhkv": {"weights": weights, "values": values}})
+
+    found = compare(with_draws([1000.0, 4000.0], [0.75, 0.25]), with_draws([2000.0], [1.0]))
+    assert found["G"].probability_greater == pytest.approx(0.25)
+    assert found["G"].ratio == (0.5, 0.5, 2.0)
+    assert found["G"].difference == (-1000.0, -1000.0, 2000.0)
+    assert found["mu"].probability_greater == pytest.approx(0.5)
+    assert found.cautions == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"without": "prior"}, "a result does not hold its prior"),
+        (
+            {"models": {"nhkv": {**TRUSTED, "verdict": "repaired"}}},
+            "is not Gaussian by its weighed draws",
+        ),
+    ],
+)
+def test_that_there_is_no_bayes_factor_without_its_basis(change: dict[str, Any], reason: str) -> None:
+    document = {**gel((0.3, 0.0), 0.02).document, **change}
+    document.pop(document.pop("without", ""), None)
+    found = compare(SavedCharacterization.from_dict(document), gel((0.9, 0.0), 0.02))
+    assert found.log_bayes_factor is None
+    assert reason in found.reason
+    assert found.verdict == "different"  # by the probability that G is larger
+    assert f"No Bayes factor: {found.reason}" in found.report()
+
+
+def test_that_priors_that_differ_give_no_bayes_factor() -> None:
+    part = PRIOR["nhkv"]
+    moved = Belief((part.with_gaussian(part.mean + 0.1, part.chol),), PRIOR.log_probabilities)
+    assert "priors of nhkv differ" in compare(gel((0.3, 0.0), 0.02), gel((0.3, 0.0), 0.02, prior=moved)).reason
+
+
+def test_that_doubtful_results_are_compared_with_a_caution() -> None:
+    bad = {"verdict": "refused", "certificate": {"converged": False}}
+    found = compare(gel((0.3, 0.0), 0.1, models={"nhkv": bad}), gel((0.3, 0.0), 0.1), names=("a", "b"))
+    text = " ".join(found.cautions)
+    assert "the fit of nhkv to a has not converged" in text
+    assert "neither the Gaussian of a nor its weighed draws are reliable" in text
+    same = gel((0.3, 0.0), 0.1)
+    assert "their data are not independent" in " ".join(compare(same, same).cautions)
+
+
+def test_that_a_comparison_is_a_table_and_a_document() -> None:
+    found = compare(gel((0.3, 0.0), 0.1), gel((0.9, 0.0), 0.1))
+    assert list(found.to_dataframe()["parameter"]) == ["G", "mu"]
+    assert json.loads(json.dumps(found.to_dict()))["verdict"] == found.verdict
+    with pytest.raises(InputDataError, match="No parameter 'alpha'; 'nhkv' has G, mu"):
+        found["alpha"]
+
+
+DOCUMENTS = {
+    "no JSON": ("{", r"a\.json: cannot be used \(JSONDecodeError.*expected a result of imr-torch characterize"),
+    "another document": ('{"a": 1}', r"a\.json: holds no 'models' and 'belief'; expected a result"),
+    "a list": ("[1]", r"a\.json: holds no 'models' and 'belief'"),
+    "many results": ('{"each": {}}', r"a\.json: holds the results of several curves \(--each\); run imr-torch batch --each"),
+    "a broken belief": ('{"models": {}, "belief": {}}', r"a\.json: Expected a document of the format 'imr_torch belief 1'"),
+    "deep": ("[" * 100_000, r"a\.json: cannot be used \(its values are nested too deep\)"),
+}
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_that_files_of_other_kinds_are_named(name: str, tmp_path: Path, capsys) -> None:
+    content, message = DOCUMENTS[name]
+    (tmp_path / "a.json").write_text(content)
+    assert main(["compare", str(tmp_path / "a.json"), str(tmp_path / "a.json")]) == 2
+    error = capsys.readouterr().err
+    assert re.search(message, error), error
+
+
+def test_that_results_without_a_common_model_are_refused(tmp_path: Path) -> None:
+    other = wide_prior(["newtonian"])
+    document = {"belief": other.to_dict(), "models": {"newtonian": TRUSTED}}
+    with pytest.raises(InputDataError, match=r"has the models nhkv and result newtonian; fit a model to both with --models"):
+        compare(gel((0.3, 0.0), 0.1), SavedCharacterization.from_dict(document))
+    with pytest.raises(InputDataError, match="--model is 'zener'; both results have nhkv"):
+        compare(gel((0.3, 0.0), 0.1), gel((0.3, 0.0), 0.1), model="zener")
+
+
+@pytest.mark.parametrize("draws", [{"weights": [1.0]}, {"weights": [1.0], "values": {"G": [1.0, 2.0], "mu": [1.0, 2.0]}}])
+def test_that_draws_that_are_not_whole_are_refused(draws: dict[str, Any]) -> None:
+    with pytest.raises(InputDataError, match="draws of 'nhkv'"):
+        compare(gel((0.3, 0.0), 0.1, weighed_draws={"nhkv": draws}), gel((0.3, 0.0), 0.1))
