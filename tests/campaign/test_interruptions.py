@@ -111,25 +111,16 @@ def test_that_a_campaign_cut_within_any_line_is_resumed_to_the_same_journal(whol
             assert compare(trial, folder) is None, (events, torn)
 
 
-@needs_fork
-def test_that_ctrl_c_is_one_line_that_says_what_is_kept_and_how_to_go_on(tmp_path):
+def test_that_ctrl_c_is_one_line_that_says_what_is_kept_and_how_to_go_on(tmp_path, capsys, monkeypatch):
     out = tmp_path / "gel"
     base = ["campaign", "--case", "soft-pa", "--policy", "random", "--designs", "1", "--physics", "polytropic", "--quiet"]
 
-    def work() -> int:
-        learn = Campaign.learn
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
 
-        def interrupted(*_, **__):
-            os.kill(os.getpid(), signal.SIGINT)
-
-        Campaign.learn = interrupted
-        try:
-            return main([*base, "--out", str(out)])
-        finally:
-            Campaign.learn = learn
-
-    ended = forked(work)
-    assert ended.code == 130
-    assert ended.said == f"imr-torch: interrupted; what was finished is in {out / 'journal.jsonl'}, continue with --resume\n"
+    monkeypatch.setattr(Campaign, "learn", interrupted)
+    assert main([*base, "--out", str(out)]) == 130
+    said = capsys.readouterr().err
+    assert said == f"imr-torch: interrupted; what was finished is in {out / 'journal.jsonl'}, continue with --resume\n"
     text = (out / "journal.jsonl").read_text()
     assert [kind in text for kind in ('"ask"', '"observed"', '"learnt"')] == [True, True, False]
