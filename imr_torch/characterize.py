@@ -42,10 +42,12 @@ from imr_torch.observe.frames import FrameUse, frame_use
 from imr_torch.random import child
 from imr_torch.saved import SavedCharacterization, draws_to_dict
 from imr_torch.select import (
+    Bound,
     Evidence,
     PredictiveScore,
     cross_validate,
     evidences,
+    identifiability,
     probability_errors,
     sum_over_folds,
     update,
@@ -147,6 +149,7 @@ class Characterization:
             certificate = vars(fit.certificate) | {"agreement": min(fit.certificate.agreement, 1e300)}
             models[fit.model] = {
                 "intervals": intervals(fit.posterior),
+                "identifiability": {f.parameter.name: f.words for f in identifiability(fit.prior, fit.posterior)},
                 "rmse": self.assimilation.rmse(fit.model),
                 "rmse_by_experiment": self.assimilation.rmse_by_experiment(fit.model),
                 "log_evidence": evidence.value,
@@ -202,10 +205,12 @@ class Characterization:
                 f"\n{fit.prior.material.title:10s} probability {self.posterior.probabilities[fit.model]:.3f} "
                 f"+- {errors[fit.model]:.3f}, RMSE {self.assimilation.rmse(fit.model):.4f} in R*"
             )
-            for parameter in (p for p in fit.prior.material.parameters if p.name in fit.prior.names):
+            for found in identifiability(fit.prior, fit.posterior):
+                parameter = found.parameter
                 low, middle, high = (parameter.display_scale * x for x in intervals(fit.posterior)[parameter.name])
                 unit = parameter.display_unit or ("" if parameter.unit == "1" else parameter.unit)
-                lines.append(f"  {parameter.name:6s} {middle:10.4g} {unit:5s} (90 %: {low:.4g} to {high:.4g})")
+                said = "" if found.bound is Bound.BOTH else f"; {found.words}"
+                lines.append(f"  {parameter.name:6s} {middle:10.4g} {unit:5s} (90 %: {low:.4g} to {high:.4g}){said}")
             lines += [f"  {fit.certificate}", f"  {fit.trust}{self._advice(fit)}"]
         if len(self.experiments) > 1:
             worst = sorted(self.assimilation.rmse_by_experiment(order[0].model).items(), key=lambda item: -item[1])
