@@ -71,7 +71,7 @@ class Disk:
     def watched(self) -> Iterator["Disk"]:
         """Patch the functions through which files are written."""
         names: dict[int, object] = {}
-        open_path, fdopen, mkstemp = Path.open, os.fdopen, tempfile.mkstemp
+        open_path, fdopen, os_open = Path.open, os.fdopen, os.open
         fsync, replace, truncate, unlink = os.fsync, os.replace, os.truncate, os.unlink
 
         def opened(path: Path, mode: str = "r", *args: Any, **kwargs: Any) -> Any:
@@ -79,11 +79,12 @@ class Disk:
             names[stream.fileno()] = path
             return _Stream(stream, path, self) if mode[0] in "aw" else stream
 
-        def made(*args: Any, **kwargs: Any) -> tuple[int, str]:
-            self.step(kwargs["prefix"], writes=True)
-            descriptor, name = mkstemp(*args, **kwargs)
-            names[descriptor] = name
-            return descriptor, name
+        def made(path: Any, flags: int, *args: Any, **kwargs: Any) -> int:
+            if os.fsdecode(path).endswith(".tmp"):
+                self.step(path, writes=True)
+            descriptor = os_open(path, flags, *args, **kwargs)
+            names[descriptor] = path
+            return descriptor
 
         def flushed(descriptor: int) -> None:
             self.step(names.get(descriptor, "folder"), writes=False)
@@ -100,7 +101,7 @@ class Disk:
             for target, name, new in (
                 (Path, "open", opened),
                 (os, "fdopen", lambda fd, *a, **k: _Stream(fdopen(fd, *a, **k), names.get(fd, "other"), self)),
-                (tempfile, "mkstemp", made),
+                (os, "open", made),
                 (os, "fsync", flushed),
                 (os, "replace", watch(replace, 1)),
                 (os, "truncate", watch(truncate, 0)),

@@ -274,7 +274,7 @@ def test_that_a_refused_tell_leaves_no_journal_that_refuses_the_corrected_comman
     cells = [row.split(",") for row in rows]
     bad.write_text("\n".join([header, *(f"{a},{1e3 * float(t):.6e},{r}" for a, t, r in cells)]) + "\n")
     assert main(real(out, "--tell", bad)) == 2
-    assert "in another unit than stated" in capsys.readouterr().err
+    assert "the first collapse is at t* = 8" in capsys.readouterr().err
     assert not (out / "journal.jsonl").exists()
     assert main(["campaign", "--models", "nhkv,newtonian", "--policy", "random", *QUICK, "--out", str(out)]) == 0
 
@@ -298,7 +298,7 @@ def test_that_a_folder_in_use_and_a_full_disk_are_one_line_each(told_once, tmp_p
     with Disk(2, "full").watched():
         assert main(real(out, "--resume", "--forget", 1)) == 1
     said = capsys.readouterr().err
-    assert "journal.jsonl: No space left on device; the last event was not recorded" in said
+    assert "journal.jsonl cannot be read or written: No space left on device; the last event was not recorded" in said
     assert said.count("\n") == 1
     assert (out / "journal.jsonl").read_bytes() == before
 

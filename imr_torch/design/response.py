@@ -12,7 +12,7 @@ from torch import Tensor
 
 from imr_torch.design.plan import Plan
 from imr_torch.material import Belief, ModelBelief
-from imr_torch.observe import Experiment, ExperimentBatch, predict
+from imr_torch.observe import Film, predict
 from imr_torch.simulate import Simulator
 
 _STEP = 1e-4  # finite-difference step, in standard deviations of the belief; members of a bundle differ by nothing else
@@ -41,11 +41,9 @@ class Shot:
         object.__setattr__(self, "belief", Belief(parts, self.belief.log_probabilities[likely]))
 
     @cached_property
-    def film(self) -> ExperimentBatch:
-        """The experiments as they will be predicted, without data."""
-        times, blank = self.plan.times, torch.zeros(1, len(self.plan.times), dtype=torch.float64)
-        shots = [Experiment(f"design {i + 1}", (x, y), times, blank) for i, (x, y) in enumerate(self.designs.tolist())]
-        return ExperimentBatch(tuple(shots), self.plan.noise)
+    def film(self) -> Film:
+        """What the camera will see of the designs, but for the gel."""
+        return Film(self.designs, self.plan.times.expand(len(self.designs), -1))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from imr_torch.observe import formats as formats  # registers the readers of the package
 from imr_torch.observe.convert import to_experiment
-from imr_torch.observe.experiments import Experiment, ExperimentBatch, predict
+from imr_torch.observe.experiments import Experiment, ExperimentBatch, Film, predict
 from imr_torch.observe.laboratory import SimulatedLaboratory
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
@@ -22,6 +22,7 @@ __all__ = [
     "SUFFIXES",
     "Experiment",
     "ExperimentBatch",
+    "Film",
     "Given",
     "Landmarks",
     "Layout",

@@ -102,6 +102,39 @@ class Experiment:
 
 
 @dataclass(frozen=True)
+class Film:
+    """Designs that are planned, and when the camera will see them; there are no data.
+
+    Args:
+        designs: ``E x 2`` tensor, (We, R_inf*).
+        times: ``E x T`` tensor of frame times, dimensionless, increasing.
+
+    Raises:
+        InputDataError: for a design that no bubble has.
+        ShapeError: if designs and times do not fit.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import Film, predict
+    >>> film = Film(torch.tensor([[400.0, 0.22]]).double(), torch.tensor([[0.0, 0.5, 1.0]]).double())
+    >>> seen = predict(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), film)
+    >>> [round(x, 3) for x in seen[0].tolist()]
+    [1.0, 0.846, 0.418]
+    """
+
+    designs: Tensor
+    times: Tensor
+
+    def __post_init__(self) -> None:
+        if self.times.ndim != 2 or self.designs.shape != (len(self.times), 2):
+            raise ShapeError(
+                f"Film: expected designs E x 2 and times E x T, got {tuple(self.designs.shape)} and {tuple(self.times.shape)}."
+            )
+        check_designs(self.designs)
+
+
+@dataclass(frozen=True)
 class ExperimentBatch:
     """Experiments padded to ``E x T``.
 
@@ -215,7 +248,7 @@ class ExperimentBatch:
 def predict(
     simulator: Simulator,
     parameters: Tensor,
-    batch: ExperimentBatch,
+    film: Film | ExperimentBatch,
     shifts: Tensor | None = None,
     *,
     times: Tensor | None = None,
@@ -226,7 +259,7 @@ def predict(
     Args:
         simulator: makes the bubbles.
         parameters: ``batch_shape x p`` tensor, SI.
-        batch: the experiments, for their designs and times.
+        film: the experiments, for their designs and times: an :class:`ExperimentBatch`, or a :class:`Film` of planned ones.
         shifts: ``batch_shape x E x 3`` tensor of nuisances in physical size; none when not given.
         times: ``E x T`` tensor, measured, dimensionless, increasing; those of the frames when not given.
         bundled: whether the last batch dimension holds the members of a bundle
@@ -245,7 +278,7 @@ def predict(
     >>> [round(x, 3) for x in seen[0].tolist()]
     [1.0, 0.846, 0.418]
     """
-    designs, times, factor = batch.designs, batch.times if times is None else times, None
+    designs, times, factor = film.designs, film.times if times is None else times, None
     distortion = Distortion.of(parameters)
     if distortion is not None:
         shifts = distortion.shifts if shifts is None else shifts + distortion.shifts

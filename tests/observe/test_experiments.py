@@ -9,7 +9,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, displaced, predict
+from imr_torch.observe import Experiment, ExperimentBatch, Film, Noise, Nuisance, displaced, predict
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
 from tests.linear import LinearSimulator, prior, tensor
@@ -354,3 +354,19 @@ def test_that_a_likelihood_takes_memory_in_proportion_to_the_frames(tau: float) 
     expected = torch.distributions.Normal(mean, spread).log_prob(standard).sum() - 2.0 * sd.log().sum()
     value = batch.log_likelihood(torch.full((1, count), 0.5, dtype=torch.float64))
     torch.testing.assert_close(value[0], expected, rtol=1e-7, atol=0.0)
+
+
+def test_that_planned_designs_need_no_data():
+    designs, times = torch.tensor([[400.0, 0.2], [300.0, 0.25]]).double(), torch.linspace(0.0, 2.0, 5).double().expand(2, -1)
+    shots = tuple(
+        Experiment(f"{i}", tuple(x.tolist()), t, torch.zeros(1, 5).double())
+        for i, (x, t) in enumerate(zip(designs, times, strict=True))
+    )
+    gel = PARAMETERS.pack({"G": torch.tensor(5e3).double(), "mu": 0.1})
+    assert torch.equal(
+        predict(PolytropicSimulator(), gel, Film(designs, times)), predict(PolytropicSimulator(), gel, ExperimentBatch(shots))
+    )
+    with pytest.raises(ShapeError, match=r"expected designs E x 2 and times E x T, got \(2, 2\) and \(1, 5\)"):
+        Film(designs, times[:1])
+    with pytest.raises(InputDataError, match="R_inf"):
+        Film(torch.tensor([[400.0, 1.2]]).double(), times[:1])
