@@ -47,6 +47,14 @@ class Situation:
         plan: how the experiment will be observed.
         seed: of the campaign.
         pending: ``m x 2`` tensor of designs that were proposed before under the same belief and will be shot with this one.
+
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.campaign import Situation
+    >>> from imr_torch.design import DesignSpace, Plan
+    >>> prior, space = reference_case("soft-pa").prior, DesignSpace((100.0, 1000.0), (0.14, 0.3))
+    >>> situation = Situation(2, prior, PolytropicSimulator(), space, Plan(), seed=0)
+    >>> situation.belief.keys, situation.pending
+    (('nhkv', 'gen_qkv'), None)
     """
 
     number: int
@@ -69,6 +77,11 @@ class Proposal:
             the policy estimates none.
         gain_sd: its standard deviation.
         search: how it was found; None if it was not searched for, or was read back from a journal.
+
+    >>> import torch
+    >>> from imr_torch.campaign import Proposal
+    >>> Proposal(1, torch.tensor([400.0, 0.2]).double()).gain is None
+    True
     """
 
     step: int
@@ -79,7 +92,20 @@ class Proposal:
 
 
 class DesignPolicy(Protocol):
-    """Chooses designs; a frozen dataclass."""
+    """Chooses designs; a frozen dataclass.
+
+    >>> from dataclasses import dataclass
+    >>> import torch
+    >>> from imr_torch.campaign import DesignPolicy, Proposal
+    >>> @dataclass(frozen=True)
+    ... class Largest:
+    ...     def choose(self, situation, *, progress=None):
+    ...         return Proposal(situation.number, situation.space.bounds[1])
+    ...
+    ...     def rebuild(self, record, space, seed):
+    ...         return None
+    >>> policy: DesignPolicy = Largest()
+    """
 
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """The next design, a function of the situation alone."""
@@ -117,6 +143,15 @@ class Optimal:
         strategy: how the search chooses designs, and the last.
         plan: how the experiment will be observed, if not as the campaign says.
         coarse: whether the search simulates as coarsely as :func:`imr_torch.simulate.coarser` says, or as the campaign does.
+
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.campaign import Optimal, Situation
+    >>> from imr_torch.design import DesignSpace, Laplace, Plan
+    >>> prior, space = reference_case("soft-pa").prior, DesignSpace((100.0, 1000.0), (0.14, 0.3))
+    >>> situation = Situation(2, prior, PolytropicSimulator(), space, Plan(), seed=0)
+    >>> proposal = Optimal(Laplace(draws=2, rivals=2), evaluations=3, initial=2).choose(situation)
+    >>> proposal.step, proposal.gain > 0.0
+    (2, True)
     """
 
     estimator: InformationEstimator = field(default_factory=lambda: Laplace(draws=16))
@@ -187,7 +222,17 @@ PAPER_OPTIMAL = Optimal(
 
 @dataclass(frozen=True)
 class Random(_WithoutSearch):
-    """Designs drawn uniformly from the space, each for itself."""
+    """Designs drawn uniformly from the space, each for itself.
+
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.campaign import Random, Situation
+    >>> from imr_torch.design import DesignSpace, Plan
+    >>> prior, space = reference_case("soft-pa").prior, DesignSpace((100.0, 1000.0), (0.14, 0.3))
+    >>> situation = Situation(2, prior, PolytropicSimulator(), space, Plan(), seed=0)
+    >>> proposal = Random().choose(situation)
+    >>> 100.0 <= float(proposal.design[0]) <= 1000.0, proposal.gain
+    (True, None)
+    """
 
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`DesignPolicy`."""
@@ -202,7 +247,17 @@ class Random(_WithoutSearch):
 
 @dataclass(frozen=True)
 class SpaceFilling(_WithoutSearch):
-    """Designs of a scrambled Sobol sequence, which leaves no region out and repeats none."""
+    """Designs of a scrambled Sobol sequence, which leaves no region out and repeats none.
+
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.campaign import Situation, SpaceFilling
+    >>> from imr_torch.design import DesignSpace, Plan
+    >>> prior, space = reference_case("soft-pa").prior, DesignSpace((100.0, 1000.0), (0.14, 0.3))
+    >>> situation = Situation(2, prior, PolytropicSimulator(), space, Plan(), seed=0)
+    >>> proposal = SpaceFilling().choose(situation)
+    >>> 100.0 <= float(proposal.design[0]) <= 1000.0, proposal.gain
+    (True, None)
+    """
 
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`DesignPolicy`."""
@@ -217,6 +272,14 @@ class Fixed(_WithoutSearch):
 
     Args:
         designs: (We, R_inf*) of each experiment.
+
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.campaign import Fixed, Situation
+    >>> from imr_torch.design import DesignSpace, Plan
+    >>> prior, space = reference_case("soft-pa").prior, DesignSpace((100.0, 1000.0), (0.14, 0.3))
+    >>> situation = Situation(2, prior, PolytropicSimulator(), space, Plan(), seed=0)
+    >>> Fixed(((400.0, 0.2), (600.0, 0.25))).choose(situation).design.tolist()  # the second experiment
+    [600.0, 0.25]
     """
 
     designs: tuple[tuple[float, float], ...]
