@@ -27,6 +27,7 @@ from imr_torch.cli.common import (
     SIMULATORS,
     add_physics_argument,
     add_prior_arguments,
+    add_window_arguments,
     parse_pair,
     prior_of,
     progress_of,
@@ -54,14 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--layout", metavar="TEXT", help="how to read the files, as for characterize (radius=R,radius_unit=um,...)"
     )
-    parser.add_argument("--collapses", type=int, default=2, help="collapses in the fitted window (default 2)")
-    parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for records without a tail")
-    parser.add_argument(
-        "--noise",
-        choices=("estimated", "published"),
-        default="estimated",
-        help="observation noise: estimated from the residuals (default), or the published law",
-    )
+    add_window_arguments(parser)
     parser.add_argument("--method", choices=tuple(METHODS), default="map", help="as for characterize")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     parser.add_argument("--cluster", metavar="ADDRESS", help="Dask scheduler whose workers do it, such as tcp://scheduler:8786")

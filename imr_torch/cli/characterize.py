@@ -23,9 +23,11 @@ from typing import Any
 from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.characterize import EFFORTS, characterize
 from imr_torch.cli.common import (
+    COLLAPSES,
     METHODS,
     add_physics_argument,
     add_prior_arguments,
+    add_window_arguments,
     header_of,
     names_of,
     parse_pair,
@@ -45,7 +47,6 @@ from imr_torch.results import characterization_document, characterization_page, 
 
 NAME = "characterize"
 SUMMARY = "properties of a gel from measured R(t) files"
-_COLLAPSES = 2
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,14 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="TEXT", help="how to read the files: name=value pairs, see above")
     parser.add_argument("--experiments", metavar="ID,...", help="fit only these experiments")
     parser.add_argument("--each", action="store_true", help="fit every curve by itself instead of all together")
-    parser.add_argument("--collapses", type=int, default=_COLLAPSES, help="collapses in the fitted window (default 2)")
-    parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for records without a tail")
-    parser.add_argument(
-        "--noise",
-        choices=("estimated", "published"),
-        default="estimated",
-        help="observation noise: estimated from the residuals (default), or the published law",
-    )
+    add_window_arguments(parser)
     parser.add_argument(
         "--scores",
         action="store_true",
@@ -178,7 +172,7 @@ def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:
         ("--layout", args.layout),
         ("--experiments", args.experiments),
         ("--rest-radius", args.rest_radius),
-        ("--collapses", str(args.collapses) if args.collapses != _COLLAPSES else None),
+        ("--collapses", str(args.collapses) if args.collapses != COLLAPSES else None),
         ("--physics", args.physics if args.physics != "transport" else None),
     ):
         if value:

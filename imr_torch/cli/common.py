@@ -57,6 +57,22 @@ def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+COLLAPSES = 2
+"""Collapses in the fitted window, if not said otherwise."""
+
+
+def add_window_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options for which part of a curve is fitted, and with what noise."""
+    parser.add_argument("--collapses", type=int, default=COLLAPSES, help="collapses in the fitted window (default %(default)s)")
+    parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for records without a tail")
+    parser.add_argument(
+        "--noise",
+        choices=("estimated", "published"),
+        default="estimated",
+        help="observation noise: estimated from the residuals (default), or the published law",
+    )
+
+
 METHODS: dict[str, FitOptions] = {
     "map": SearchOptions(),
     "en4dvar": En4DVarOptions(),

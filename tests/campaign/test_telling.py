@@ -272,9 +272,11 @@ def test_that_a_campaign_is_resumed_on_any_number_of_workers_and_threads(tmp_pat
 
 
 def test_that_addresses_in_memory_are_no_part_of_a_campaign(tmp_path):
-    campaign(tmp_path, simulator=Addressed()).ask()
-    keep = object()
-    campaign(tmp_path, simulator=Addressed(law=keep)).ask()
+    asked = campaign(tmp_path, simulator=Addressed()).ask()
+    before, keep = (tmp_path / "journal.jsonl").read_bytes(), object()
+    again = campaign(tmp_path, simulator=Addressed(law=keep)).ask()
+    assert torch.equal(again.design, asked.design)
+    assert (tmp_path / "journal.jsonl").read_bytes() == before
 
 
 def test_that_two_campaigns_on_one_folder_do_not_write_over_each_other(tmp_path):
