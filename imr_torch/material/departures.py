@@ -1,12 +1,13 @@
-"""Stress terms for damage, a yield stress, a graded modulus and a permanent set.
+"""Stress terms for damage of modulus and viscosity, a yield stress, a graded modulus and a permanent set.
 
 Each is a correction to a model's elastic stress with one parameter, neutral at zero, so that it can be added to any model and
 inferred with it. They are simple closures that act where the effect does, not complete constitutive laws.
 """
 
-from imr_torch.elementary import Scalar, log, sqrt
+from imr_torch.elementary import Scalar, log, sqrt, where
 from imr_torch.material.elastic import neo_hookean, stiffening
 from imr_torch.material.stress import StressTerm
+from imr_torch.material.viscous import newtonian
 
 _SMOOTH = 0.02  # velocity below which |U| and sign(U) are rounded off
 _SLOWEST = 0.1  # shear rate below which a yield stress is left out
@@ -19,14 +20,58 @@ def _elastic(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, a
     return value + more, rate + more_rate
 
 
+def _strain_rate(radius: Scalar, velocity: Scalar) -> Scalar:
+    """``|U|/R``, rounded off at small velocities: its time integral is the accumulated strain at the wall."""
+    return (sqrt(velocity * velocity + _SMOOTH * _SMOOTH) - _SMOOTH) / radius
+
+
 def damaged(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, lost: Scalar, G: Scalar, alpha: Scalar, damage: Scalar
+    radius: Scalar,
+    velocity: Scalar,
+    rest_radius: Scalar,
+    lost: Scalar,
+    G: Scalar,
+    alpha: Scalar,
+    damage: Scalar,
+    healing: Scalar,
 ) -> tuple[Scalar, ...]:
-    """Softening with accumulated strain: ``S_e (1 - D)``, ``D' = k (1 - D) |U|/R``. The state is ``D``."""
+    """Softening with accumulated strain: ``S_e (1 - D)``, ``D' = k (1 - D) |U|/R - D/t_h``. The state is ``D``.
+
+    Strain breaks a share of the bonds that carry the elastic stress; with healing they form anew at the rate ``1/t_h``, as in
+    gels with transient crosslinks (Long, Mayumi, Creton, Narita & Hui, Macromolecules 47, 2014). A modulus that falls over the
+    event is reported by Spratt et al. (J. Mech. Phys. Solids 152, 2021).
+    """
     value, rate = _elastic(radius, velocity, rest_radius, G, alpha)
-    speed = sqrt(velocity * velocity + _SMOOTH * _SMOOTH) - _SMOOTH
-    growth = damage * (1.0 - lost) * speed / radius
+    growth = damage * (1.0 - lost) * _strain_rate(radius, velocity) - healing * lost
     return -lost * value, -growth * value - lost * rate, 0.0, growth
+
+
+def _healing_rate(G: Scalar, alpha: Scalar, damage: Scalar, healing: Scalar) -> Scalar:
+    return healing
+
+
+def thinned_by_damage(
+    radius: Scalar,
+    velocity: Scalar,
+    rest_radius: Scalar,
+    lost: Scalar,
+    mu: Scalar,
+    tau: Scalar,
+    tau_sls: Scalar,
+    tau_sns: Scalar,
+    tau_ucm: Scalar,
+    viscous_damage: Scalar,
+) -> tuple[Scalar, ...]:
+    """Viscosity that falls with accumulated strain: ``S_v (1 - D)``, ``D' = k (1 - D) |U|/R``. The state is ``D``.
+
+    ``S_v`` is the Newtonian stress. An apparent viscosity that falls over the event and levels off as the motion fades is
+    reported for polyacrylamide by Chu et al. (arXiv 2606.13584). A viscous stress that relaxes is left alone: its law replaces
+    the Newtonian one, of which nothing is left to take.
+    """
+    instant = where(tau + tau_sls + tau_sns + tau_ucm > 0.0, 0.0, mu)
+    value, rate, acceleration = newtonian(radius, velocity, rest_radius, instant)
+    growth = viscous_damage * (1.0 - lost) * _strain_rate(radius, velocity)
+    return -lost * value, -growth * value - lost * rate, -lost * acceleration, growth
 
 
 def yielding(radius: Scalar, velocity: Scalar, rest_radius: Scalar, yield_stress: Scalar) -> tuple[Scalar, ...]:
@@ -76,7 +121,8 @@ def stretched(
     return value - before, rate - before_rate, 0.0
 
 
-DAMAGE = StressTerm(damaged, switch="damage", states=1)
+DAMAGE = StressTerm(damaged, switch="damage", states=1, fastest=_healing_rate)
+VISCOUS_DAMAGE = StressTerm(thinned_by_damage, switch="viscous_damage", states=1)
 YIELD_STRESS = StressTerm(yielding, switch="yield_stress")
 GRADED_MODULUS = StressTerm(graded, switch="graded_modulus")
 PERMANENT_SET = StressTerm(stretched, switch="permanent_set")

@@ -46,7 +46,30 @@ register_effect(
         "material",
         {"damage": TruncatedNormal(0.0, 0.1, lower=0.0)},
         confused="rest radius, stiffening; the second collapse tells them apart",
+        group="damage",
         needs="G",
+    )
+)
+register_effect(
+    Effect(
+        "healing_damage",
+        "the gel softens with accumulated strain and heals within the event",
+        "material",
+        {"damage": TruncatedNormal(0.0, 0.3, lower=0.0), "healing": LogNormal(3e4, 3.0)},
+        ((0.1, 3e4), (0.4, 3e4)),
+        "damage that does not heal: late rebounds, and a second shot at the same place, tell them apart",
+        group="damage",
+        needs="G",
+    )
+)
+register_effect(
+    Effect(
+        "viscous_damage",
+        "viscosity falls with accumulated strain",
+        "material",
+        {"viscous_damage": TruncatedNormal(0.0, 0.1, lower=0.0)},
+        confused="viscosity, shear thinning; the second collapse tells them apart",
+        needs="mu",
     )
 )
 register_effect(

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.material.closure import CLOSURE
-from imr_torch.material.departures import DAMAGE, GRADED_MODULUS, PERMANENT_SET, YIELD_STRESS
+from imr_torch.material.departures import DAMAGE, GRADED_MODULUS, PERMANENT_SET, VISCOUS_DAMAGE, YIELD_STRESS
 from imr_torch.material.elastic import EXPONENTIAL_FUNG, LINEAR_ELASTIC, NEO_HOOKEAN, SECOND_ORDER_FUNG, STIFFENING
 from imr_torch.material.memory import MAXWELL, OLDROYD_B, STANDARD_LINEAR, STANDARD_NONLINEAR
 from imr_torch.material.parameters import PARAMETERS
@@ -32,6 +32,7 @@ TERMS: list[StressTerm] = [
     STANDARD_NONLINEAR,
     OLDROYD_B,
     DAMAGE,
+    VISCOUS_DAMAGE,
     YIELD_STRESS,
     GRADED_MODULUS,
     PERMANENT_SET,

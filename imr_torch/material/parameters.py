@@ -16,7 +16,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
 from imr_torch.units import Surroundings
 
-Dimension = Literal["pressure", "viscosity", "time", "none"]
+Dimension = Literal["pressure", "viscosity", "time", "rate", "length", "none"]
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Parameter:
         '8.31 kPa (90 %: 8.1 to 8.5)'
         """
         unit = self.display_unit or self.unit
-        shown = "" if unit in ("", "1") else f" {'µs' if unit == 'us' else unit}"
+        shown = "" if unit in ("", "1") else f" {'µ' + unit[1:] if unit in ('us', 'um') else unit}"
         low, middle, high = (self.display_scale * x for x in (low, middle, high))
         return f"{middle:.4g}{shown} (90 %: {low:.4g} to {high:.4g})"
 
@@ -212,6 +212,12 @@ YIELD_STRESS = PARAMETERS.register(
 )
 GRADED_MODULUS = PARAMETERS.register(Parameter("graded_modulus", "excess modulus at the wall", "1", "none", -1.0, 10.0, 0.0))
 PERMANENT_SET = PARAMETERS.register(Parameter("permanent_set", "part of the stretch that stays", "1", "none", -0.5, 0.5, 0.0))
+HEALING = PARAMETERS.register(
+    Parameter("healing", "rate at which damage heals", "1/s", "rate", 0.0, 1e7, 0.0, display_scale=1e-3, display_unit="1/ms")
+)
+VISCOUS_DAMAGE = PARAMETERS.register(
+    Parameter("viscous_damage", "loss of viscosity per unit of accumulated strain", "1", "none", 0.0, 10.0, 0.0)
+)
 
 
 def _law(name: str, meaning: str) -> Parameter:
@@ -240,7 +246,7 @@ def dimensionless(parameters: Tensor, max_radius: Tensor, surroundings: Surround
 
     Returns:
         Name -> ``batch_shape`` tensor: moduli as ``1/Ca = G/p_inf``, viscosities as ``1/Re = mu U_c/(p_inf Rmax)``,
-        times as ``De = tau U_c/Rmax`` (Estrada et al. 2018, section 2.3).
+        times as ``De = tau U_c/Rmax`` (Estrada et al. 2018, section 2.3), rates and lengths over ``U_c/Rmax`` and ``Rmax``.
 
     >>> import torch
     >>> from imr_torch.material import PARAMETERS, dimensionless
@@ -251,5 +257,12 @@ def dimensionless(parameters: Tensor, max_radius: Tensor, surroundings: Surround
     """
     time = surroundings.time_scale(max_radius)
     pressure = surroundings.far_field_pressure
-    factor = {"pressure": 1.0 / pressure, "viscosity": 1.0 / (pressure * time), "time": 1.0 / time, "none": 1.0}
+    factor = {
+        "pressure": 1.0 / pressure,
+        "viscosity": 1.0 / (pressure * time),
+        "time": 1.0 / time,
+        "rate": time,
+        "length": 1.0 / max_radius,
+        "none": 1.0,
+    }
     return {entry.name: parameters[..., i] * factor[entry.dimension] for i, entry in enumerate(PARAMETERS)}

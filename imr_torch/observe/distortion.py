@@ -1,4 +1,4 @@
-"""Measurement errors that all experiments share (clock, exposure, refraction), as entries of the parameter vector.
+"""Measurement errors that all experiments share (clock, exposure, refraction, edge), as entries of the parameter vector.
 
 A maximum that was missed, a clock that runs wrong, an exposure that blurs are not nuisances of one experiment but
 departures that a diagnosis must be able to name; so they stand beside the properties of the gel, each with a neutral
@@ -25,6 +25,11 @@ RINF_BIAS = _error("rinf_bias", "true R_inf over the measured one, less 1", -0.5
 CLOCK = _error("clock", "log of true over measured time at a fixed time scale", -0.3, 0.3)
 EXPOSURE_BLUR = _error("exposure_blur", "exposure, in Rmax/U_c", 0.0, 0.5)
 REFRACTION = _error("refraction", "relative error of R that grows with R*", -0.2, 0.2)
+EDGE_ERROR = PARAMETERS.register(
+    Parameter(
+        "edge_error", "measured less true radius", "m", "length", -2e-5, 2e-5, 0.0, display_scale=1e6, display_unit="um"
+    )
+)
 
 register_effect(
     Effect(
@@ -81,6 +86,15 @@ register_effect(
         confused="missed maximum",
     )
 )
+register_effect(
+    Effect(
+        "edge_error",
+        "the bubble's edge is misplaced by the same distance in every frame",
+        "measurement",
+        {"edge_error": TruncatedNormal(0.0, 2e-6)},
+        confused="rest radius, missed maximum; bubbles of other size tell them apart",
+    )
+)
 
 _GEOMETRY = ("missed_maximum", "trigger_offset", "rinf_bias")  # in the order of the nuisances of one experiment
 _NODES, _WEIGHTS = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(8))
@@ -95,22 +109,40 @@ class Distortion:
         clock: see ``CLOCK``.
         blur: see ``EXPOSURE_BLUR``.
         refraction: see ``REFRACTION``.
+        edge: see ``EDGE_ERROR``.
     """
 
     shifts: Tensor
     clock: Tensor
     blur: Tensor
     refraction: Tensor
+    edge: Tensor
 
     @classmethod
     def of(cls, parameters: Tensor) -> "Distortion | None":
         """The errors in ``batch_shape x p`` parameters; None where every one is neutral."""
-        names = (*_GEOMETRY, "clock", "exposure_blur", "refraction")
+        names = (*_GEOMETRY, "clock", "exposure_blur", "refraction", "edge_error")
         columns = parameters[..., PARAMETERS.index(names)]
         if not bool((columns != 0.0).any()):
             return None
-        clock, blur, refraction = columns[..., 3:].unbind(-1)
-        return cls(columns[..., None, :3], clock[..., None], blur[..., None], refraction[..., None])
+        return cls(columns[..., None, :3], *(column[..., None] for column in columns[..., 3:].unbind(-1)))
+
+    def shifts_of(self, designs: Tensor, max_radius: Tensor) -> tuple[Tensor, Tensor]:
+        """Errors of the measured designs and times, and what the edge's error adds to the radius as filmed.
+
+        Rmax and R_inf are read off the same film, so each holds the same error ``d`` as every frame: the true ones are smaller
+        by ``d``, and ``R* = (R + d)/(Rmax + d)`` is 1 at the maximum whatever the error.
+
+        Args:
+            designs: ``E x 2`` tensor, measured (We, R_inf*).
+            max_radius: ``E`` tensor, measured, m.
+
+        Returns:
+            ``... x E x 3`` tensor in the order of the nuisances, and ``... x E x 1``, in R*.
+        """
+        edge = self.edge / max_radius
+        moved = torch.stack((-edge, torch.zeros_like(edge), -edge / designs[:, 1]), -1)
+        return self.shifts + moved, edge[..., None]
 
     def placed(self, designs: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:
         """True designs (``... x E x 2``) and times (``... x E x T``) of a clock that is wrong."""

@@ -278,10 +278,12 @@ def predict(
     >>> [round(x, 3) for x in seen[0].tolist()]
     [1.0, 0.846, 0.418]
     """
-    designs, times, factor = film.designs, film.times if times is None else times, None
+    designs, times, factor, beyond = film.designs, film.times if times is None else times, None, None
     distortion = Distortion.of(parameters)
     if distortion is not None:
-        shifts = distortion.shifts if shifts is None else shifts + distortion.shifts
+        measured = simulator.conditions.surroundings.max_radius(designs[:, 0])
+        errors, beyond = distortion.shifts_of(designs, measured)
+        shifts = errors if shifts is None else shifts + errors
     if shifts is not None:
         lost = impossible(times, shifts, EARLIEST if distortion is None else _EARLIEST_FILMED)[..., None]
         designs, times, factor = displaced(designs, times, torch.where(lost, 0.0, shifts))
@@ -299,4 +301,5 @@ def predict(
     else:
         designs, times = distortion.placed(designs, times)
         radius = distortion.filmed(times, simulate)
-    return radius if factor is None else radius * factor
+    radius = radius if factor is None else radius * factor
+    return radius if beyond is None else radius + beyond

@@ -98,6 +98,8 @@ class Setting(NamedTuple):
         conduction: factor on the conductivity of the contents.
         exponent: of polytropic gas.
         adiabatic: ratio of specific heats.
+        gas: amount of gas at time zero over that which rests at ``rest_radius``.
+        warmth: mean temperature of the contents at time zero, less 1.
     """
 
     weber: Tensor
@@ -111,6 +113,8 @@ class Setting(NamedTuple):
     conduction: Tensor
     exponent: Tensor
     adiabatic: Tensor
+    gas: Tensor
+    warmth: Tensor
 
     @classmethod
     def of(cls, designs: Tensor, conditions: Conditions) -> "Setting":
@@ -133,6 +137,8 @@ class Setting(NamedTuple):
             conduction=all_at(1.0),
             exponent=all_at(conditions.gas.exponent),
             adiabatic=all_at(conditions.mixture.heat_ratio),
+            gas=all_at(1.0),
+            warmth=all_at(0.0),
         )
 
 
@@ -151,6 +157,7 @@ class Numbers(NamedTuple):
         exponent: of polytropic gas.
         vapour: constant vapour pressure beside polytropic gas.
         start: pressure of the transporting mixture at ``R = 1``.
+        warmth: mean temperature of it there, less 1.
         constant_vapour: beside that.
         saturation: prefactor of the saturation pressure.
         chi: conduction into the gel.
@@ -173,6 +180,7 @@ class Numbers(NamedTuple):
     exponent: Scalar
     vapour: Scalar
     start: Scalar
+    warmth: Scalar
     constant_vapour: Scalar
     saturation: Scalar
     chi: Scalar
@@ -191,6 +199,7 @@ class Numbers(NamedTuple):
         rest, size = setting.rest_radius, outer.max_radius(setting.weber)
         nothing = torch.zeros_like(rest)
         at_rest = 1.0 + 1.0 / (setting.weber * rest)
+        amount = setting.gas * (1.0 + setting.warmth)  # times the temperature: what the pressure is proportional to
         beside = setting.saturation if gas.vapour else nothing
         inside = nothing if kind == "absent" else setting.saturation
         capacity = 1.0 if medium.capacity_of == "gas_wall" else medium.heat_capacity
@@ -204,10 +213,11 @@ class Numbers(NamedTuple):
             image=setting.image,
             velocity=setting.velocity,
             seconds=outer.time_scale(size),
-            gas=(at_rest - beside) * rest ** (3.0 if gas.reference == "maximum" else 3.0 * setting.exponent),
+            gas=amount * (at_rest - beside) * rest ** (3.0 if gas.reference == "maximum" else 3.0 * setting.exponent),
             exponent=setting.exponent,
             vapour=beside,
-            start=(at_rest - inside) * rest**3 + (nothing if kind == "constant" else inside),
+            start=amount * (at_rest - inside) * rest**3 + (nothing if kind == "constant" else inside),
+            warmth=setting.warmth,
             constant_vapour=inside if kind == "constant" else nothing,
             saturation=prefactor * setting.saturation if kind == "transported" else nothing,
             chi=chi,

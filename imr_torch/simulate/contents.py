@@ -47,6 +47,17 @@ def temperature_of(conductivity: Scalar, c: Constants) -> Scalar:
     return (conductivity + (c.slope - 1.0)) / c.slope
 
 
+def warm_profile(y: Scalar, warmth: Scalar, c: Constants) -> Scalar:
+    """``tau`` at ``y = r/R`` of contents that are warmer than the wall by ``warmth`` in the mean of ``1/T``.
+
+    ``1/T = 1 - b (1 - y^2)``, whose mean over the volume is ``1 - 2 b/5 = 1/(1 + warmth)``: the amount of gas at a pressure is
+    proportional to it.
+    """
+    steep = 2.5 * warmth / (1.0 + warmth) * (1.0 - y * y)
+    above = steep / (1.0 - steep)
+    return above * (1.0 + 0.5 * c.slope * above)
+
+
 def mixture_of(vapour: Scalar, c: Constants) -> Scalar:
     """``R_mix`` of a mass fraction of vapour."""
     return c.air_constant + (c.vapour_constant - c.air_constant) * vapour

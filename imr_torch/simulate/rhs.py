@@ -26,6 +26,7 @@ from imr_torch.simulate.contents import (
     temperature_of,
     wall_balance,
     wall_of,
+    warm_profile,
 )
 from imr_torch.simulate.grids import Grid
 from imr_torch.simulate.wall import Head, gas_loss, motion, vapour_factor
@@ -85,12 +86,13 @@ class Equations:
         return Equations(self.bubbles.take(members), self.inside, self.outside)
 
     def start(self) -> Tensor:
-        """The state at time zero: at the far temperature, vapour in equilibrium; ``(4+2n+m+K) x B``."""
+        """The state at time zero: the wall at the far temperature, vapour in equilibrium with it; ``(4+2n+m+K) x B``."""
         numbers = self.bubbles.numbers
         pressure, one = numbers.start, torch.ones_like(numbers.start)
         state = pressure.new_zeros(self.rows, len(self.bubbles))
         state[0], state[1], state[2] = 1.0, numbers.velocity, pressure.log()
         vapour = wall_of(pressure, one, one, torch.zeros_like(one), numbers, self.bubbles.constants).vapour
+        state[HEAD : HEAD + self.n] = warm_profile(self.y, numbers.warmth, self.bubbles.constants)
         state[HEAD + self.n : HEAD + 2 * self.n] = vapour
         state[HEAD + 2 * self.n + self.m :] = self.bubbles.memory_start()
         return state

@@ -15,6 +15,8 @@ NAMES = [
     "stress_relaxation",
     "shear_thinning",
     "damage",
+    "healing_damage",
+    "viscous_damage",
     "yield_stress",
     "graded_modulus",
     "permanent_set",
@@ -22,6 +24,9 @@ NAMES = [
     "vapour_pressure",
     "condensation",
     "gas_loss",
+    "excess_gas",
+    "hot_contents",
+    "rinf_drift",
     "sound_speed",
     "surface_tension",
     "far_field_pressure",
@@ -36,6 +41,7 @@ NAMES = [
     "clock",
     "exposure_blur",
     "refraction",
+    "edge_error",
 ]
 
 
@@ -111,10 +117,11 @@ def test_that_an_effect_is_offered_to_models_that_have_what_it_needs() -> None:
     assert {e.name for e in LIBRARY.values() if e.needs == "G"} == {
         "strain_stiffening",
         "damage",
+        "healing_damage",
         "graded_modulus",
         "permanent_set",
     }
-    assert {e.name for e in LIBRARY.values() if e.needs == "mu"} == {"stress_relaxation", "shear_thinning"}
+    assert {e.name for e in LIBRARY.values() if e.needs == "mu"} == {"stress_relaxation", "shear_thinning", "viscous_damage"}
 
 
 def test_that_a_users_effect_is_one_class_and_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,6 +20,8 @@ VALUES = {
     "tau_sns": 0.3,
     "tau_ucm": 0.6,
     "damage": 0.3,
+    "healing": 0.4,
+    "viscous_damage": 0.3,
     "yield_stress": 0.02,
     "graded_modulus": 1.5,
     "permanent_set": 0.1,

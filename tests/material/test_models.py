@@ -152,7 +152,8 @@ def test_that_a_term_is_switched_off_by_its_switch_alone(term) -> None:
     point = [torch.tensor(x, dtype=torch.float64) for x in (0.4, -1.0, REST)]
     states = (memory_of([term]),) if term.states else ()
     assert term.switch in term.names
-    on, off = tensors(VALUES), tensors(VALUES | {term.switch: PARAMETERS[term.switch].neutral})
+    instant = {name: 0.0 for name in term.names if name.startswith("tau") and name != term.switch}  # where nothing relaxes
+    on, off = tensors(VALUES | instant), tensors(VALUES | instant | {term.switch: PARAMETERS[term.switch].neutral})
     assert float(term(*point, on, *states).value) != 0.0
     if term.states:  # a member without it starts without memory, which then stays away
         still = 0.0 * states[0]

@@ -50,7 +50,12 @@ BEYOND = {
     "pulse": 0.3,
     "pulse_time": 0.7,
     "pulse_width": -1.0,
+    "excess_gas": 0.4,
+    "hot_contents": 0.4,
+    "rinf_drift": 5e3,
     "damage": 0.5,
+    "healing": 5e4,
+    "viscous_damage": 0.5,
     "yield_stress": 1e3,
     "graded_modulus": 2.0,
     "permanent_set": 0.1,
@@ -71,6 +76,7 @@ BESIDE = {
     "shear_time": {"thinning": 0.4},
     "thinning": {"shear_time": 2e-6},
     "retardation": {"tau": 5e-6},
+    "healing": {"damage": 0.5},
 }
 """What has to be there for some to act."""
 
@@ -108,7 +114,7 @@ def bases_and_neighbours(*, acting: bool) -> Tensor:
     rows = []
     for name in PARAMETERS.names:
         base = BASE | BESIDE.get(name, {})
-        value = BASE[name] * 1.5 if name in BASE else {**SI, **BEYOND}.get(name, 0.05)
+        value = BASE[name] * 1.5 if name in BASE else {**SI, **BEYOND}.get(name, min(0.05, PARAMETERS[name].upper))
         rows += [gel(**base), gel(**base | {name: value}) if acting else gel(**base)]
     return torch.stack(rows)
 

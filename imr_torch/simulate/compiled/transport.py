@@ -21,7 +21,7 @@ from imr_torch.simulate.compiled.output import (
 )
 from imr_torch.simulate.compiled.step import GAMMA, HEAD, ORDER, STAGES, Space, Work, factorise, linearise, step
 from imr_torch.simulate.compiled.wall import member_of, setup_of
-from imr_torch.simulate.contents import wall_of
+from imr_torch.simulate.contents import wall_of, warm_profile
 from imr_torch.simulate.controller import GROW, HEAT_WEIGHT, PATIENCE, REST, RUNAWAY, SAFETY, SHRINK, UNDERFLOW
 from imr_torch.simulate.simulator import Status
 
@@ -54,11 +54,13 @@ def scaled_error(before, after, error, space, tolerance):
     return np.sqrt(np.sqrt(total)) / tolerance
 
 
-def start(n, m, member, setup, state):
-    """The state at time zero: at the far temperature, vapour in equilibrium."""
-    b = member.b
+def start(space, member, setup, state):
+    """The state at time zero: the wall at the far temperature, vapour in equilibrium with it."""
+    b, n, m = member.b, len(space.y), len(space.shear)
     state[:] = 0.0
     state[0], state[1], state[2] = 1.0, b.velocity, np.log(b.start)
+    for i in range(n):
+        state[HEAD + i] = warm_profile(space.y[i], b.warmth, setup.c)
     state[HEAD + n : HEAD + 2 * n] = wall_of(b.start, 1.0, 1.0, 0.0, b, setup.c).vapour
     laws.start(b.rest_radius, member.terms, member.theta, state[HEAD + 2 * n + m :])
 
@@ -99,7 +101,7 @@ def solve_bundle(numbers, theta, terms, effects, setup, space, tolerance, max_st
     Returns:
         The leader's status, and how many nodes its path has.
     """
-    width, n, m = len(numbers), len(space.y), len(space.shear)
+    width = len(numbers)
     state, fresh, clock, nodes = work.state, work.fresh, work.clock, work.nodes
     filled, recorded, last = work.counts[0], work.counts[1], 0.0
     curves[:] = np.nan
@@ -107,7 +109,7 @@ def solve_bundle(numbers, theta, terms, effects, setup, space, tolerance, max_st
     work.counts[:] = 0
     for k in range(width):
         last = max(last, times[k, -1])
-        start(n, m, member_of(numbers[k], theta[k], terms, effects), setup, state[k])
+        start(space, member_of(numbers[k], theta[k], terms, effects), setup, state[k])
     h, error, grow, count, tries, paced, status = first_step, 0.0, True, 1, 0, pace(state[0]), -1
     while True:
         behind = False
