@@ -26,9 +26,7 @@ CLOCK = _error("clock", "log of true over measured time at a fixed time scale", 
 EXPOSURE_BLUR = _error("exposure_blur", "exposure, in Rmax/U_c", 0.0, 0.5)
 REFRACTION = _error("refraction", "relative error of R that grows with R*", -0.2, 0.2)
 EDGE_ERROR = PARAMETERS.register(
-    Parameter(
-        "edge_error", "measured less true radius", "m", "length", -2e-5, 2e-5, 0.0, display_scale=1e6, display_unit="um"
-    )
+    Parameter("edge_error", "measured less true radius", "m", "length", -2e-5, 2e-5, 0.0, display_scale=1e6, display_unit="um")
 )
 
 register_effect(
@@ -56,7 +54,8 @@ register_effect(
         "the rest radius is misread",
         "geometry",
         {"rinf_bias": TruncatedNormal(0.0, 0.05)},
-        confused="heat exchange, damage, viscosity",
+        confused="gas apart from R_inf: the same to first order; heat exchange, damage, viscosity",
+        group="rest radius",
     )
 )
 register_effect(

@@ -133,8 +133,8 @@ register_effect(
         "the gas at the maximum radius is not that of R_inf",
         "gas",
         {"excess_gas": TruncatedNormal(0.0, 0.2)},
-        confused="rest radius; in a liquid the same",
-        group="contents",
+        confused="a misread rest radius: the same to first order; a modulus known otherwise tells them apart",
+        group="rest radius",
         setting=excess_gas,
     )
 )
@@ -158,8 +158,7 @@ register_effect(
         "the contents are hot (or cold) at the maximum radius",
         "gas",
         {"hot_contents": TruncatedNormal(0.0, 0.15, lower=-0.3, upper=0.6)},
-        confused="excess gas, residual velocity",
-        group="contents",
+        confused="vapour pressure, heat exchange; excess gas where the gas is polytropic",
         setting=hot_contents,
     )
 )

@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from torch import Tensor
 
 from imr_torch.material import Stress, material
-from imr_torch.material.departures import DAMAGE, GRADED_MODULUS, PERMANENT_SET, YIELD_STRESS
+from imr_torch.material.departures import DAMAGE, GRADED_MODULUS, PERMANENT_SET, VISCOUS_DAMAGE, YIELD_STRESS
 from tests.material.gels import REST, evaluate, tensors
 
 GEL = {"G": 0.08, "alpha": 0.7}
@@ -68,6 +68,36 @@ def test_that_damage_grows_with_the_path_in_either_direction_and_ends_at_all() -
     ):
         rate = DAMAGE.memory_rate(*scalars(0.6, velocity, REST), theta, torch.tensor([held], dtype=torch.float64))
         assert float(rate) == pytest.approx(expected, rel=1e-3, abs=1e-12)
+
+
+def test_that_damage_heals_at_its_rate_where_nothing_moves_and_settles_where_something_does() -> None:
+    """``D' = -D/t_h`` at rest; at a constant strain rate ``D`` stands still at ``k e/(k e + 1/t_h)``."""
+    theta = tensors(GEL | {"damage": 0.3, "healing": 2.0})
+    for velocity, held, expected in ((0.0, 0.5, -1.0), (50.0, 25.0 / 27.0, 0.0), (50.0, 0.0, 25.0)):
+        rate = DAMAGE.memory_rate(*scalars(0.6, velocity, REST), theta, torch.tensor([held], dtype=torch.float64))
+        assert float(rate) == pytest.approx(expected, rel=1e-3, abs=1e-3)
+    assert float(DAMAGE.relaxation_rate(theta)) == 2.0
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.4, 1.0])
+def test_that_viscous_damage_takes_its_share_of_the_newtonian_stress_and_grows_with_the_path(lost: float) -> None:
+    point, held = scalars(0.6, -50.0, REST), torch.tensor([lost], dtype=torch.float64)
+    whole = material("newtonian").stress(*point, tensors({"mu": 0.05}))
+    theta = tensors({"mu": 0.05, "viscous_damage": 0.3})
+    part = VISCOUS_DAMAGE(*point, theta, held)
+    growth = float(VISCOUS_DAMAGE.memory_rate(*point, theta, held))
+    assert growth == pytest.approx(0.3 * (1.0 - lost) * 50.0 / 0.6, rel=1e-3, abs=1e-12)
+    assert float(part.value) == pytest.approx(-lost * float(whole.value), rel=1e-13)
+    assert float(part.acceleration) == pytest.approx(-lost * float(whole.acceleration), rel=1e-13)
+    assert float(part.rate) == pytest.approx(-lost * float(whole.rate) - growth * float(whole.value), rel=1e-13)
+
+
+@pytest.mark.parametrize("relaxing", ["tau", "tau_sls", "tau_sns", "tau_ucm"])
+def test_that_viscous_damage_leaves_a_stress_that_relaxes_alone(relaxing: str) -> None:
+    """The law of the branch has taken the Newtonian stress already."""
+    theta = tensors({"mu": 0.05, "viscous_damage": 0.3, relaxing: 0.2})
+    stress = VISCOUS_DAMAGE(*scalars(0.6, -1.0, REST), theta, torch.tensor([0.5], dtype=torch.float64))
+    assert float(stress.value) == float(stress.rate) == float(stress.acceleration) == 0.0
 
 
 @pytest.mark.parametrize("velocity", [-5.0, -0.5, 0.5, 5.0])

@@ -28,6 +28,7 @@ from imr_torch.simulate import (
     effects,
 )
 from imr_torch.simulate.bubbles import Bubbles
+from imr_torch.simulate.contents import conductivity_of, temperature_of, warm_profile
 from imr_torch.units import Surroundings
 from tests.simulate.bubble import FINE, SI, gel, grid, tensor
 
@@ -282,6 +283,50 @@ def test_that_gas_is_lost_along_the_path_below_rest() -> None:
     assert depth > 2.0
     assert float(amount[-1] / amount[0]) == pytest.approx(expected, rel=2e-3)
     assert bool((amount.diff() < 1e-9).all())
+
+
+@pytest.mark.parametrize("excess", [-0.5, 0.4])
+def test_that_excess_gas_comes_to_rest_where_its_pressure_balances(excess: float) -> None:
+    """Isothermal gas in a viscous liquid: ``(p_0 - p_v) e^x (R_inf/R)^3 + p_v = 1 + 1/(We R)`` at rest."""
+    weber, rest = 20.0, 0.4
+    conditions = Conditions(gas=PolytropicGas(1.0, vapour=False))
+    radius = PolytropicSimulator(conditions)(gel(mu=0.1, excess_gas=excess), tensor(weber, rest), grid(40.0, 3)).radius[-1]
+    amount = (1.0 + 1.0 / (weber * rest)) * rest**3 * math.exp(excess)
+    assert float(amount / radius**3 - 1.0 - 1.0 / (weber * radius)) == pytest.approx(0.0, abs=1e-5)
+    assert abs(float(radius) - rest) > 0.05
+
+
+def test_that_hot_contents_press_by_their_mean_temperature_and_come_to_rest_at_r_inf_as_cold_ones_do() -> None:
+    gels = torch.stack([gel(mu=1.0, hot_contents=x) for x in (0.0, 0.4, -0.2)])
+    conditions = Conditions(mixture=GasMixture(vapour="absent"))
+    solution = TransportSimulator(conditions, Accuracy(3e-4, Resolution(12, 12)))(gels, tensor(300.0, 0.3), grid(20.0, 201))
+    start = solution.bubble_pressure[:, 0] / solution.bubble_pressure[0, 0]
+    torch.testing.assert_close(start, tensor(1.0, 1.4, 0.8), rtol=1e-12, atol=0.0)
+    assert float((solution.radius[1:] - solution.radius[0]).abs().max()) > 1e-3
+    torch.testing.assert_close(solution.radius[:, -1], tensor(0.3, 0.3, 0.3), rtol=0.0, atol=5e-4)
+
+
+@pytest.mark.parametrize("warmth", [-0.3, 0.2, 0.6])
+def test_that_the_profile_of_hot_contents_has_its_mean_temperature(warmth: float) -> None:
+    """By quadrature of ``1/T`` over the volume; ``T`` is 1 at the wall, and ``tau`` that of the contents' law."""
+    constants = Bubbles.of(gel(**BASE)[None], DESIGN[None], Conditions()).constants
+    nodes, weights = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(40))
+    y = 0.5 * (1.0 + nodes)
+    tau = warm_profile(y, torch.tensor(warmth, dtype=torch.float64), constants)
+    temperature = temperature_of(conductivity_of(tau, constants), constants)
+    assert float((1.5 * weights * y * y / temperature).sum()) == pytest.approx(1.0 / (1.0 + warmth), rel=1e-10)
+    assert float(warm_profile(torch.tensor(1.0), torch.tensor(warmth), constants)) == 0.0
+
+
+def test_that_a_drift_of_r_inf_is_exponential_in_time_and_the_same_for_bubbles_of_any_size() -> None:
+    """``n = n_0 exp(3 d t)`` in seconds, whatever the bubble does."""
+    conditions, drift = Conditions(gas=PolytropicGas(1.4, vapour=False)), -2e3
+    designs = torch.stack((tensor(100.0, 0.3), tensor(900.0, 0.3)))
+    solution = PolytropicSimulator(conditions, FINE)(gel(**BASE, rinf_drift=drift), designs, grid(1.5, 7))
+    amount = solution.bubble_pressure * solution.radius**4.2
+    outer = conditions.surroundings
+    seconds = grid(1.5, 7) * outer.time_scale(outer.max_radius(designs[:, :1]))
+    torch.testing.assert_close(amount / amount[:, :1], torch.exp(3.0 * drift * seconds), rtol=1e-4, atol=0.0)
 
 
 @BOTH
