@@ -36,6 +36,12 @@ VALUES = {
 }
 """Dimensionless. A new parameter of a stress term needs a value here."""
 
+
+def values_for(term: StressTerm) -> dict[str, float]:
+    """A value of every parameter at which a term acts: nothing relaxes but by its own switch."""
+    return VALUES | {name: 0.0 for name in term.names if name.startswith("tau") and name != term.switch}
+
+
 REST = 0.23
 STATES = [(1.0, 0.0), (0.9, -0.7), (REST, -3.0), (0.11, 5.0), (0.06, -9.0), (1.3, 0.4)]
 

@@ -22,7 +22,7 @@ from imr_torch.material import (
     register_term,
     stress_integral,
 )
-from tests.material.gels import REST, STATES, VALUES, evaluate, has_memory, memory_of, tensors, values_of
+from tests.material.gels import REST, STATES, VALUES, evaluate, has_memory, memory_of, tensors, values_for, values_of
 
 MODELS = pytest.mark.parametrize("model", MATERIALS.values(), ids=MATERIALS.keys())
 ENTRIES = ("value", "rate", "acceleration")
@@ -152,8 +152,7 @@ def test_that_a_term_is_switched_off_by_its_switch_alone(term) -> None:
     point = [torch.tensor(x, dtype=torch.float64) for x in (0.4, -1.0, REST)]
     states = (memory_of([term]),) if term.states else ()
     assert term.switch in term.names
-    instant = {name: 0.0 for name in term.names if name.startswith("tau") and name != term.switch}  # where nothing relaxes
-    on, off = tensors(VALUES | instant), tensors(VALUES | instant | {term.switch: PARAMETERS[term.switch].neutral})
+    on, off = tensors(values_for(term)), tensors(values_for(term) | {term.switch: PARAMETERS[term.switch].neutral})
     assert float(term(*point, on, *states).value) != 0.0
     if term.states:  # a member without it starts without memory, which then stays away
         still = 0.0 * states[0]

@@ -17,7 +17,7 @@ from imr_torch.material import (
     stress_integral,
 )
 from tests.laws import assert_alike, on_numbers
-from tests.material.gels import REST, STATES, VALUES, memory_of, tensors
+from tests.material.gels import REST, STATES, memory_of, tensors, values_for
 
 THETA = {name: torch.tensor([0.3, 0.7], dtype=torch.float64) for name in PARAMETERS.names}
 POINT = (
@@ -29,8 +29,9 @@ EVERY = pytest.mark.parametrize("term", TERMS, ids=lambda term: term.name)
 HELD = torch.tensor([[0.4, -2.0], [1.1, 0.3]], dtype=torch.float64)
 
 
-def rows_of(term: StressTerm, theta=THETA, rest=POINT[2]):
+def rows_of(term: StressTerm, theta=None, rest=POINT[2]):
     """A function of radius, velocity and each memory state: value, rate and acceleration, and the rates of memory."""
+    theta = theta or {name: THETA[name] * float(value != 0.0) for name, value in values_for(term).items()}
 
     def rows(radius, velocity, *memory):
         held = torch.stack(memory) if memory else None
@@ -57,7 +58,7 @@ def test_slopes_of_every_term_match_automatic_differentiation(term):
 @pytest.mark.parametrize(("radius", "velocity"), STATES)
 def test_so_they_do_at_rest_and_where_other_members_have_the_term(term, radius, velocity):
     """Where laws change their form: no velocity, no strain; and a member that is switched off beside one that is not."""
-    on, off = tensors(VALUES), tensors(VALUES | {term.switch: 0.0})
+    on, off = tensors(values_for(term)), tensors(values_for(term) | {term.switch: 0.0})
     theta = {name: torch.stack((on[name], off[name])) for name in on}
     rest = torch.full((2,), REST, dtype=torch.float64)
     point = [torch.full_like(rest, x) for x in (radius, velocity)] + list(memory_of([term], 2).contiguous())
@@ -79,7 +80,9 @@ def test_the_rate_of_every_term_is_the_chain_rule_of_its_value_through_its_memor
 
 
 def test_slopes_in_memory_match_finite_differences_with_several_terms_at_once():
-    memory = torch.tensor([[0.4, -2.0], [1.1, 0.3], [0.2, 0.6], [-0.3, 0.9], [0.8, -0.1], [0.3, 0.7]], dtype=torch.float64)
+    memory = torch.tensor(
+        [[0.4, -2.0], [1.1, 0.3], [0.2, 0.6], [-0.3, 0.9], [0.8, -0.1], [0.3, 0.7], [0.5, 0.1]], dtype=torch.float64
+    )
 
     def rates(*moved):
         return gel_response(TERMS, *POINT, THETA, torch.stack(moved))[1]
@@ -121,7 +124,7 @@ def arguments_at(term: StressTerm, radius: float, velocity: float, values: dict[
 @pytest.mark.parametrize("switched", ["on", "off"])
 def test_the_compiled_law_of_every_term_is_its_law_and_has_its_slopes(term, switched):
     """At all states, in all arguments of the motion and of memory; parameters are plain numbers."""
-    values = VALUES if switched == "on" else VALUES | {term.switch: 0.0}
+    values = values_for(term) | ({} if switched == "on" else {term.switch: 0.0})
     moving = [0, 1, *range(3, 3 + term.states)]
     found = [assert_alike(term.law, arguments_at(term, *state, values), moving) for state in STATES]
     assert float(torch.stack(found)[:, 0].abs().amax()) > 0.0 or switched == "off"
@@ -129,7 +132,7 @@ def test_the_compiled_law_of_every_term_is_its_law_and_has_its_slopes(term, swit
 
 @EVERY
 def test_the_compiled_start_and_fastest_rate_of_every_term_are_its_own(term):
-    for values in (VALUES, VALUES | {term.switch: 0.0}):
+    for values in (values_for(term), values_for(term) | {term.switch: 0.0}):
         parameters = [values[name] for name in term.names]
         if term.start is not None:
             assert_alike(term.start, [REST, *parameters], [0])
@@ -141,7 +144,7 @@ def test_the_compiled_start_and_fastest_rate_of_every_term_are_its_own(term):
 def test_a_wrong_sign_anywhere_in_a_compiled_law_would_be_noticed(term):
     """In any result that is not zero, and in any slope: the comparison above is not an empty one."""
     law, moving = compiled(term.law), [0, 1, *range(3, 3 + term.states)]
-    arguments = arguments_at(term, *STATES[1], VALUES)
+    arguments = arguments_at(term, *STATES[1], values_for(term))
     values = assert_alike(term.law, arguments, moving)
     assert float(values[0]) != 0.0
     for entry in torch.nonzero(values)[:, 0].tolist():
