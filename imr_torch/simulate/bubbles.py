@@ -27,6 +27,8 @@ from imr_torch.material import (
     memory_states,
 )
 from imr_torch.simulate.conditions import SATURATION_PREFACTOR, SATURATION_TEMPERATURE, Conditions
+from imr_torch.simulate.medium import MEDIUM
+from imr_torch.units import Number
 
 
 class Constants(NamedTuple):
@@ -77,10 +79,15 @@ class Constants(NamedTuple):
         )
 
 
+def conductivity_at(temperature: Number, conditions: Conditions) -> Number:
+    """``A T + B`` of the gas, W/(m K), at a temperature in K."""
+    mixture = conditions.mixture
+    return mixture.conductivity_slope * temperature + mixture.conductivity_offset
+
+
 def far_conductivity(conditions: Conditions) -> float:
     """``K_inf = A T_inf + B`` of the gas, W/(m K)."""
-    mixture = conditions.mixture
-    return mixture.conductivity_slope * conditions.surroundings.temperature + mixture.conductivity_offset
+    return conductivity_at(conditions.surroundings.temperature, conditions)
 
 
 class Setting(NamedTuple):
@@ -98,6 +105,10 @@ class Setting(NamedTuple):
         conduction: factor on the conductivity of the contents.
         exponent: of polytropic gas.
         adiabatic: ratio of specific heats.
+        pace: ``U_c`` of the medium over that of the surroundings, ``sqrt(rho_0/rho)``.
+        ambient: pressure afar at which the contents were at rest.
+        resting: ``1/We`` at which they were.
+        temperature: of the medium, K.
     """
 
     weber: Tensor
@@ -111,6 +122,10 @@ class Setting(NamedTuple):
     conduction: Tensor
     exponent: Tensor
     adiabatic: Tensor
+    pace: Tensor
+    ambient: Tensor
+    resting: Tensor
+    temperature: Tensor
 
     @classmethod
     def of(cls, designs: Tensor, conditions: Conditions) -> "Setting":
@@ -133,6 +148,10 @@ class Setting(NamedTuple):
             conduction=all_at(1.0),
             exponent=all_at(conditions.gas.exponent),
             adiabatic=all_at(conditions.mixture.heat_ratio),
+            pace=all_at(1.0),
+            ambient=all_at(1.0),
+            resting=1.0 / weber,
+            temperature=all_at(outer.temperature),
         )
 
 
@@ -160,6 +179,7 @@ class Numbers(NamedTuple):
         heating: ``12 Br/Re``.
         damping: ``4/Re``, for the time scale of explicit steps.
         spring: elastic pressure at large strain, for the same.
+        pace: see :class:`Setting`.
     """
 
     rest_radius: Scalar
@@ -182,6 +202,7 @@ class Numbers(NamedTuple):
     heating: Scalar
     damping: Scalar
     spring: Scalar
+    pace: Scalar
 
     @classmethod
     def of(cls, setting: Setting, theta: Mapping[str, Tensor], conditions: Conditions) -> "Numbers":
@@ -190,11 +211,12 @@ class Numbers(NamedTuple):
         kind, speed = conditions.mixture.vapour, outer.velocity_scale
         rest, size = setting.rest_radius, outer.max_radius(setting.weber)
         nothing = torch.zeros_like(rest)
-        at_rest = 1.0 + 1.0 / (setting.weber * rest)
+        at_rest = setting.ambient + setting.resting / rest
+        warm, lightness = setting.temperature, setting.pace**2
         beside = setting.saturation if gas.vapour else nothing
         inside = nothing if kind == "absent" else setting.saturation
         capacity = 1.0 if medium.capacity_of == "gas_wall" else medium.heat_capacity
-        chi = outer.temperature * far_conductivity(conditions) / (outer.far_field_pressure * speed) / size
+        chi = warm * conductivity_at(warm, conditions) / (outer.far_field_pressure * speed) / size
         prefactor = SATURATION_PREFACTOR / (outer.far_field_pressure * conditions.saturation)
         numbers = cls(
             rest_radius=rest,
@@ -213,10 +235,11 @@ class Numbers(NamedTuple):
             chi=chi,
             chi_gas=chi * setting.conduction,
             fom=conditions.mixture.diffusivity / speed / size,
-            foh=medium.conductivity / (outer.density * capacity * speed) / size,
-            heating=12.0 * speed**2 / (capacity * outer.temperature) * theta["mu"] * float(medium.warm),
-            damping=4.0 * theta["mu"],
+            foh=medium.conductivity / (outer.density * capacity * speed) / size * lightness,
+            heating=12.0 * speed**2 / (capacity * warm) * theta["mu"] * float(medium.warm) * lightness,
+            damping=4.0 * theta["mu"] * lightness,
             spring=2.0 * theta["G"] * (1.0 + theta["alpha"].abs()) + 2.0 * theta["G_lin"],
+            pace=setting.pace,
         )
         return cls(*torch.broadcast_tensors(*numbers))
 
@@ -258,6 +281,9 @@ class Bubbles:
         acting = _acting(rows)
         effects = tuple(e for e in LIBRARY.values() if e.physical and e.names[0] in acting)
         setting = Setting.of(designs, conditions)
+        for name, law in MEDIUM.items():
+            if name in acting:
+                setting = law(setting, theta[name])
         for effect in effects:
             if effect.setting is not None:
                 setting = effect.setting(setting, *(theta[name] for name in effect.names))
