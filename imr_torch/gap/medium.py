@@ -1,8 +1,8 @@
 """What assumed values of the medium would change in a fit: shifts of its parameters, from local sensitivities at the fit.
 
 Where the medium differs a little from the assumed one, the prediction changes by ``c`` and a refit shifts everything fitted,
-the nuisances included, by the linear least-squares solution for the residual ``-c`` (Gauss-Newton at the minimum of the posterior).
-The derivative is taken over a thousandth of the deviation, in bubbles that take the fit's own solver steps.
+the nuisances included, by the linear least-squares solution for the residual ``-c`` (Gauss-Newton at the minimum of the
+posterior). The derivative is taken over a thousandth of the deviation, in bubbles that take the fit's own solver steps.
 """
 
 import math
