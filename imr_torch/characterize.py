@@ -171,7 +171,7 @@ class Characterization:
         return {
             "experiments": [{"id": e.label, "We": e.design[0], "R_inf*": e.design[1]} for e in self.experiments],
             "cautions": list(self.prepared.cautions),
-            **({} if self.medium is None else medium_document(self.medium, self.sensitivities)),
+            **({} if self.medium is None else medium_document(self.medium, self.sensitivities, self.posterior.best)),
             "model_probabilities": self.posterior.probabilities,
             "models": models,
             "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
@@ -208,7 +208,8 @@ class Characterization:
         """
         lines = [self.fit_test.sentence(command)] if self.fit_test else []
         if self.medium is not None:
-            lines += [self.medium.report(), *(f"  {found.sentence()}" for found in self.sensitivities)]
+            said = (*self.medium.learnt(self.posterior.best), *(found.sentence() for found in self.sensitivities))
+            lines += [self.medium.report(), *(f"  {sentence}" for sentence in said)]
         lines += [f"{len(self.experiments)} curve(s); noise {self.noise}", *(x for use in self.frames for x in use.lines())]
         order = sorted(self.assimilation.fits, key=lambda f: -self.posterior.probabilities[f.model])
         errors = probability_errors(self.assimilation.prior, self.evidence)
@@ -219,6 +220,8 @@ class Characterization:
             )
             for found in identifiability(fit.prior, fit.posterior):
                 parameter = found.parameter
+                if self.medium is not None and parameter.name in self.medium.priors:
+                    continue  # said with the medium, in its units
                 low, middle, high = (parameter.display_scale * x for x in intervals(fit.posterior)[parameter.name])
                 unit = parameter.display_unit or ("" if parameter.unit == "1" else parameter.unit)
                 said = "" if found.bound is Bound.BOTH else f"; {found.words}"
@@ -246,11 +249,20 @@ class Characterization:
         return f"; {drawn}; effort='thorough' (--effort thorough) weighs more"
 
 
-def medium_document(medium: GelMedium, found: Sequence[MediumSensitivity] = ()) -> dict[str, object]:
-    """What a result document says about the medium: its values, notes on them, and what assumed ones would change."""
+def medium_document(
+    medium: GelMedium, found: Sequence[MediumSensitivity] = (), posterior: ModelBelief | None = None
+) -> dict[str, object]:
+    """What a result document says about the medium: its values, notes on them, and what assumed ones would change.
+
+    Args:
+        medium: the medium.
+        found: what assumed values would change.
+        posterior: of the most probable model, for what the curves say of uncertain values.
+    """
+    learnt = () if posterior is None else medium.learnt(posterior)
     return {
         "medium": medium.to_dict(),
-        "medium_notes": list(medium.notes),
+        "medium_notes": [*medium.notes, *learnt],
         "medium_sensitivities": [entry.to_dict() for entry in found],
     }
 

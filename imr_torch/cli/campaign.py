@@ -134,6 +134,11 @@ def run(args: argparse.Namespace) -> None:
             raise InputDataError(f"--{option} is {getattr(args, option)}; expected at least 1.")
     settings = settings_of(args)
     simulator, prior, medium = with_medium(args, simulator_of(args), prior_of(args))
+    if args.case and medium.sds:
+        raise InputDataError(
+            f"--medium gives {label(next(iter(medium.sds)))} a standard deviation, and --case simulates a gel whose medium is "
+            "known; state values alone."
+        )
     print(medium.report())
     started = time.process_time()
     case = reference_case(args.case) if args.case else None

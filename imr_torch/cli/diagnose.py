@@ -98,8 +98,9 @@ def run(args: argparse.Namespace) -> None:
     parts = examine(report, simulator, unseen=held_out, seed=args.seed, progress=progress)
     assumed = medium_sensitivities(report.null, report.batch, simulator, medium) if report.converged else ()
     print(describe(report, parts))
-    print("\n" + "\n".join([medium.report(), *(f"  {found.sentence()} (base model)" for found in assumed)]))
-    of_medium = medium_document(medium, assumed)
+    said = (*medium.learnt(report.null.posterior), *(found.sentence() for found in assumed))
+    print("\n" + "\n".join([medium.report(), *(f"  {sentence} (Of the base model alone.)" for sentence in said)]))
+    of_medium = medium_document(medium, assumed, report.null.posterior)
     write_result(args, to_json(report, parts) | of_medium | {"seconds": time.perf_counter() - started})
     if args.html:
         about = header_of(args) | of_medium

@@ -111,9 +111,10 @@ def medium_sensitivities(
         moved.append(slope / (_STEP * before[0].abs().clamp_min(1e-300)))
     found = []
     for name, sigma, relative in zip(names, sigmas.tolist(), torch.stack(moved).tolist(), strict=True):
-        matters = [i for i, x in enumerate(sigma) if abs(x) > MATTERS and math.isfinite(x)]
+        own = fit.prior.names
+        gel = [i for i, parameter in enumerate(own) if parameter not in OF_MEDIUM.values()]
+        matters = [i for i in gel if abs(sigma[i]) > MATTERS and math.isfinite(sigma[i])]
         if matters:
-            own = fit.prior.names
             found.append(
                 MediumSensitivity(
                     name,

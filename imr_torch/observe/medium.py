@@ -2,8 +2,8 @@
 
 A statement is a named medium, values, or both: ``"water,temperature=310"``, ``"density=1125:11"`` (value and standard
 deviation, SI). In the JSON beside a file: ``{"medium": {"name": "water", "temperature": 310, "density": [1125, 11]}}``. What
-the command (or the caller) states counts before what the file says, a value before a name, and what nobody states is assumed. A value with
-a standard deviation is a parameter of the fit, the same for all shots, with that prior (:mod:`imr_torch.simulate.medium`).
+the command (or the caller) states counts before what the file says, a value before a name, and what nobody states is assumed.
+A value with a standard deviation is a parameter of the fit, the same for all shots, with that prior (:mod:`imr_torch.simulate.medium`).
 
 A stated temperature changes the vapour pressure and the conduction of heat in the bubble, and the density, sound speed and
 surface tension of a *named* medium; values that were stated or assumed stay as they are.
@@ -24,6 +24,8 @@ from imr_torch.simulate.medium import OF_MEDIUM
 from imr_torch.units import Surroundings
 
 _WIDEST = 0.3  # standard deviation over the value
+_FAR = 2.5  # standard deviations of the shift from which on curves contradict a statement
+_LEAST = 0.1  # of a standard deviation: shifts of values that curves say nothing of are noise
 
 
 @dataclass(frozen=True)
@@ -208,9 +210,34 @@ class GelMedium:
         """The same for the belief of one model."""
         return beside(part, {name: prior for name, prior in self.priors.items() if name not in part.material.names})
 
-    def value(self, name: str, factor: float = 1.0) -> str:
-        """A field's value times a factor with its unit, as text."""
-        return f"{factor * getattr(self.surroundings, name):.4g} {PROPERTIES[_NAME_OF[name]].unit}"
+    def value(self, name: str) -> str:
+        """A field's value with its unit, as text."""
+        return f"{getattr(self.surroundings, name):.4g} {PROPERTIES[_NAME_OF[name]].unit}"
+
+    def learnt(self, posterior: ModelBelief) -> tuple[str, ...]:
+        """What curves say of the uncertain values: a sentence each, which names those that they contradict.
+
+        Under the statement the posterior mean lies ``N(0, sd^2 - sd_after^2)`` from the stated value (Gaussian updating), so a
+        shift of more than 2.5 of that is a contradiction.
+
+        Args:
+            posterior: of a model with these values as parameters; those that it does not infer are passed over.
+        """
+        lines = []
+        for name, sd in self.sds.items():
+            if OF_MEDIUM[name] not in posterior.names:
+                continue
+            column, stated = posterior.names.index(OF_MEDIUM[name]), getattr(self.surroundings, name)
+            low, middle, high = (stated * posterior.quantile((0.05, 0.5, 0.95))[:, column].exp()).tolist()
+            after, before = float(posterior.sds[column]), sd / stated
+            expected = math.sqrt(max(before**2 - after**2, (_LEAST * before) ** 2))
+            shift = float(posterior.means[column]) / expected
+            doubt = "; the curves contradict what was stated, or the model lacks something" if abs(shift) > _FAR else ""
+            lines.append(
+                f"{label(name)} was stated {stated:.4g} +- {sd:.2g} {PROPERTIES[_NAME_OF[name]].unit} and is {middle:.4g} "
+                f"(90 %: {low:.4g} to {high:.4g}) with the curves{doubt}."
+            )
+        return tuple(lines)
 
     def report(self) -> str:
         """All values with who stated them, sources of named media, and what was stated twice."""

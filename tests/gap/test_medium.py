@@ -73,7 +73,10 @@ def test_that_what_is_stated_or_inferred_is_not_listed_and_what_does_not_matter_
     listed = [x.name for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium())]
     assert {"density", "far_field_pressure"} <= set(listed)
     stated = gel_medium(Statement.from_text("density=1060,pressure=101325"))
-    assert {x.name for x in medium_sensitivities(fit, data, SIMULATOR, stated)} == set(listed) - {"density", "far_field_pressure"}
+    assert {x.name for x in medium_sensitivities(fit, data, SIMULATOR, stated)} == set(listed) - {
+        "density",
+        "far_field_pressure",
+    }
     few = batch(1)
     loose = fit_of(few)
     assert "surface_tension" not in [x.name for x in medium_sensitivities(loose, few, SIMULATOR, GelMedium())]

@@ -121,24 +121,23 @@ def test_that_the_json_beside_a_file_states_the_medium_and_text_stays_a_remark(t
 TRUE = Surroundings(density=1120.0)
 
 
-@pytest.fixture(scope="module")
-def curves() -> TraceSet:
-    """Two shots of a gel of 1120 kg/m^3, with noise of .004 in R*."""
+def shots(**gel: float) -> TraceSet:
+    """Two shots in a medium of 1120 kg/m^3, with noise of .004 in R*."""
     simulator = gel_medium(text("density=1120")).applied(PolytropicSimulator())
     noise, traces = torch.Generator().manual_seed(3), []
     for name, size, rest in (("a", 250e-6, 0.2), ("b", 320e-6, 0.16)):
         times = torch.linspace(0.0, 2.4, 49, dtype=torch.float64)
         design = torch.tensor([float(TRUE.weber(size)), rest], dtype=torch.float64)
-        radius = simulator(PARAMETERS.pack({"G": 6000.0, "mu": 0.06}), design, times).radius
+        radius = simulator(PARAMETERS.pack(gel), design, times).radius
         radius = radius + 0.004 * torch.randn(len(times), generator=noise, dtype=torch.float64)
         traces.append(RadiusTrace(name, times * TRUE.time_scale(size), size * radius, "simulated"))
     return TraceSet(tuple(traces))
 
 
-def fitted(curves: TraceSet, medium: str) -> Characterization:
+def fitted(curves: TraceSet, medium: str, model: str = "nhkv") -> Characterization:
     return characterize(
         curves,
-        prior=wide_prior(["nhkv"]),
+        prior=wide_prior([model]),
         simulator=PolytropicSimulator(),
         rest_radius=(0.18, 0.03),
         options=SearchOptions(scouts=24, starts=2),
@@ -146,7 +145,8 @@ def fitted(curves: TraceSet, medium: str) -> Characterization:
     )
 
 
-def test_that_a_density_with_a_standard_deviation_is_inferred_and_widens_the_gel(curves: TraceSet) -> None:
+def test_that_a_density_with_a_standard_deviation_is_inferred_and_widens_the_gel() -> None:
+    curves = shots(G=6000.0, mu=0.06)
     known, uncertain = fitted(curves, "density=1120"), fitted(curves, "density=1060:60")
     assert known.posterior.keys == ("nhkv",)
     part = uncertain.posterior["nhkv+density"]
@@ -164,4 +164,16 @@ def test_that_a_density_with_a_standard_deviation_is_inferred_and_widens_the_gel
         "source": "medium",
     }
     assert document["medium"]["sound_speed"]["stated"] is False
-    assert "Medium: density 1060 +- 60 kg/m^3 (medium)" in uncertain.report()
+    report = uncertain.report()
+    assert "Medium: density 1060 +- 60 kg/m^3 (medium)" in report
+    assert "density was stated 1060 +- 60 kg/m^3 and is 1" in report
+    assert "contradict" not in report
+    assert "\n  density " not in report.split("probability")[1]  # as a factor it is in the JSON alone
+
+
+def test_that_curves_which_contradict_a_statement_say_so_and_others_do_not() -> None:
+    """In a liquid: the modulus of a gel would take up nearly all of a wrong density."""
+    curves = shots(mu=0.06)
+    for stated, contradicted in (("density=1060:10", True), ("density=1120:10", False)):
+        report = fitted(curves, stated, "newtonian").report()
+        assert ("the curves contradict what was stated" in report) is contradicted
