@@ -2,8 +2,9 @@
 
 A statement is a named medium, values, or both: ``"water,temperature=310"``, ``"density=1125:11"`` (value and standard
 deviation, SI). In the JSON beside a file: ``{"medium": {"name": "water", "temperature": 310, "density": [1125, 11]}}``. What
-the command (or the caller) states counts before what the file says, a value before a name, and what nobody states is assumed.
-A value with a standard deviation is a parameter of the fit, the same for all shots, with that prior (:mod:`imr_torch.simulate.medium`).
+the command (or the caller) states counts before what the file says, a value before a name, and what nobody states is
+assumed. A value with a standard deviation is a parameter of the fit, the same for all shots, with that prior
+(:mod:`imr_torch.simulate.medium`).
 
 A stated temperature changes the vapour pressure and the conduction of heat in the bubble, and the density, sound speed and
 surface tension of a *named* medium; values that were stated or assumed stay as they are.
