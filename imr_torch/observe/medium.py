@@ -290,7 +290,7 @@ def gel_medium(
     >>> from imr_torch.observe import Statement, gel_medium
     >>> medium = gel_medium(Statement.from_text("water,temperature=310"))
     >>> round(medium.surroundings.density, 1), medium.assumed
-    (993.3, ('far_field_pressure',))
+    (993.4, ('far_field_pressure',))
     """
     base, statements = surroundings or Surroundings(), [*([command] if command else []), *beside]
     stated = [s.values["temperature"][0] for s in statements if "temperature" in s.values]
