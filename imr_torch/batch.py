@@ -23,7 +23,7 @@ from imr_torch.characterize import characterize
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.files import read_json, write_atomically, write_json
 from imr_torch.material import PARAMETERS, Belief
-from imr_torch.observe import Layout, TraceSet, find_files, load_traces
+from imr_torch.observe import Layout, Statement, TraceSet, find_files, load_traces
 from imr_torch.saved import SavedCharacterization, to_dataframe
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
@@ -52,6 +52,7 @@ class BatchOptions:
         rest_radius: as for :func:`imr_torch.characterize`.
         estimate_noise: as for :func:`imr_torch.characterize`.
         options: as for :func:`imr_torch.characterize`.
+        medium: what is stated about the medium of all; it counts before what the file beside each shot states.
         seed: as for :func:`imr_torch.characterize`.
 
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -68,12 +69,14 @@ class BatchOptions:
     rest_radius: tuple[float, float] | None = None
     estimate_noise: bool = True
     options: FitOptions | None = None
+    medium: Statement | None = None
     seed: int = 0
 
     def key(self) -> str:
         """Hash of everything that has a say in a result."""
         parts = [json.dumps(self.prior.to_dict(), sort_keys=True), repr(self.simulator), repr(self.layout), self.each]
         parts += [self.collapses, self.rest_radius, self.estimate_noise, repr(self.options), self.seed, version("imr-torch")]
+        parts += [repr(self.medium)] if self.medium else []
         return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
 
 
@@ -252,6 +255,7 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[st
             collapses=options.collapses,
             rest_radius=options.rest_radius,
             options=options.options,
+            medium=options.medium,
             seed=options.seed,
         )
         frames = sum(len(experiment.times) for experiment in result.experiments)

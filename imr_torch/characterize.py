@@ -7,6 +7,7 @@ repeated, so that a model that misses the data gets wider intervals.
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,15 +27,18 @@ from imr_torch.assimilate import (
 )
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
-from imr_torch.gap import FitTest, check_fit
+from imr_torch.gap import FitTest, MediumSensitivity, check_fit, medium_sensitivities
 from imr_torch.material import Belief, ModelBelief, wide_prior
 from imr_torch.observe import (
     Experiment,
     ExperimentBatch,
+    GelMedium,
     Landmarks,
     Noise,
     Prepared,
+    Statement,
     TraceSet,
+    gel_medium,
     predict,
     prepare,
 )
@@ -54,6 +58,7 @@ from imr_torch.select import (
 )
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.types import Progress
+from imr_torch.units import Surroundings
 
 if TYPE_CHECKING:
     import pandas
@@ -96,6 +101,8 @@ class Characterization:
         scores: held-out log density of each model, summed over all curves; empty if none was held out.
         frames: which frames of each record were fitted.
         fit_test: whether the most probable model explains the curves; None where that was not asked for.
+        medium: the liquid side, with what was stated and what was assumed; None where the simulator's was taken unasked.
+        sensitivities: what assumed values of the medium would change in the most probable model.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -126,6 +133,8 @@ class Characterization:
     scores: tuple[PredictiveScore, ...] = ()
     frames: tuple[FrameUse, ...] = ()
     fit_test: FitTest | None = None
+    medium: GelMedium | None = None
+    sensitivities: tuple[MediumSensitivity, ...] = ()
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -162,6 +171,7 @@ class Characterization:
         return {
             "experiments": [{"id": e.label, "We": e.design[0], "R_inf*": e.design[1]} for e in self.experiments],
             "cautions": list(self.prepared.cautions),
+            **({} if self.medium is None else medium_document(self.medium, self.sensitivities, self.posterior.best)),
             "model_probabilities": self.posterior.probabilities,
             "models": models,
             "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
@@ -197,6 +207,9 @@ class Characterization:
             command: what to try if the model does not explain the curves.
         """
         lines = [self.fit_test.sentence(command)] if self.fit_test else []
+        if self.medium is not None:
+            said = (*self.medium.learnt(self.posterior.best), *(found.sentence() for found in self.sensitivities))
+            lines += [self.medium.report(), *(f"  {sentence}" for sentence in said)]
         lines += [f"{len(self.experiments)} curve(s); noise {self.noise}", *(x for use in self.frames for x in use.lines())]
         order = sorted(self.assimilation.fits, key=lambda f: -self.posterior.probabilities[f.model])
         errors = probability_errors(self.assimilation.prior, self.evidence)
@@ -207,6 +220,8 @@ class Characterization:
             )
             for found in identifiability(fit.prior, fit.posterior):
                 parameter = found.parameter
+                if self.medium is not None and parameter.name in self.medium.priors:
+                    continue  # said with the medium, in its units
                 low, middle, high = (parameter.display_scale * x for x in intervals(fit.posterior)[parameter.name])
                 unit = parameter.display_unit or ("" if parameter.unit == "1" else parameter.unit)
                 said = "" if found.bound is Bound.BOTH else f"; {found.words}"
@@ -234,6 +249,44 @@ class Characterization:
         return f"; {drawn}; effort='thorough' (--effort thorough) weighs more"
 
 
+def medium_document(
+    medium: GelMedium, found: Sequence[MediumSensitivity] = (), posterior: ModelBelief | None = None
+) -> dict[str, object]:
+    """What a result document says about the medium: its values, notes on them, and what assumed ones would change.
+
+    Args:
+        medium: the medium.
+        found: what assumed values would change.
+        posterior: of the most probable model, for what the curves say of uncertain values.
+    """
+    learnt = () if posterior is None else medium.learnt(posterior)
+    return {
+        "medium": medium.to_dict(),
+        "medium_notes": [*medium.notes, *learnt],
+        "medium_sensitivities": [entry.to_dict() for entry in found],
+    }
+
+
+def medium_of(
+    traces: TraceSet, medium: GelMedium | Statement | str | None = None, surroundings: Surroundings | None = None
+) -> GelMedium:
+    """The medium of curves that are fitted together: what the caller states, then their files, then what is assumed.
+
+    Args:
+        traces: the curves.
+        medium: what the caller states, for example ``"water,temperature=310"``; a :class:`GelMedium` stays as it is.
+        surroundings: values of what nobody states.
+
+    Raises:
+        InputDataError: as in :class:`imr_torch.observe.Statement` and :func:`imr_torch.observe.gel_medium`.
+    """
+    if isinstance(medium, GelMedium):
+        return medium
+    command = Statement.from_text(medium, "medium") if isinstance(medium, str) else medium
+    beside = [trace.given.stated for trace in traces if trace.given.stated is not None]
+    return gel_medium(command, list({repr(statement): statement for statement in beside}.values()), surroundings)
+
+
 def intervals(belief: ModelBelief) -> dict[str, list[float]]:
     """Parameter -> [5 %, 50 %, 95 %] quantile, SI."""
     return dict(zip(belief.names, belief.quantile(LEVELS).T.tolist(), strict=True))
@@ -252,6 +305,7 @@ def characterize(
     scores: bool = False,
     check: bool = True,
     effort: str = "normal",
+    medium: GelMedium | Statement | str | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Characterization:
@@ -272,6 +326,9 @@ def characterize(
         check: whether to test if the most probable model explains the curves (:func:`imr_torch.gap.check_fit`).
         effort: how far draws are weighed where they do not settle the intervals: ``"normal"`` or ``"thorough"``, see
             ``EFFORTS``.
+        medium: density, sound speed, surface tension, temperature and ambient pressure of the gel, for example
+            ``"water,temperature=310,density=1125:11"`` (:mod:`imr_torch.observe.medium`); it counts before what the files
+            state, and that before the simulator's surroundings. What has a standard deviation is inferred with the gel.
         seed: of everything random.
         progress: called with one line per step.
 
@@ -307,6 +364,8 @@ def characterize(
         raise InputDataError(f"effort is {effort!r}; expected one of {', '.join(EFFORTS)}.")
     prior, noise = prior or wide_prior(), noise or Noise()
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
+    medium = medium_of(traces, medium, simulator.conditions.surroundings)
+    simulator, prior = medium.applied(simulator), medium.believed(prior)
     prepared = prepare(traces, simulator.conditions.surroundings, collapses=collapses, rest_radius=rest_radius)
     result = assimilate_estimating_noise(
         prior,
@@ -339,7 +398,9 @@ def characterize(
         frame_use(trace, prepared.landmarks[trace.experiment_id], experiment, surroundings, collapses=collapses)
         for trace, experiment in zip(traces, prepared.experiments, strict=True)
     )
-    return Characterization(prepared, weighed, evidence, posterior, time.process_time() - started, found, used, tested)
+    moved = medium_sensitivities(weighed[posterior.best.model], weighed.batch, simulator, medium)
+    seconds = time.process_time() - started
+    return Characterization(prepared, weighed, evidence, posterior, seconds, found, used, tested, medium, moved)
 
 
 def predictive_band(

@@ -8,7 +8,7 @@ Writes DIR/shots/NAME.json (a result as of characterize, for imr-torch compare),
 one file are of one gel and fitted together; --each takes every curve by itself. The same command again computes only what is
 missing: shots whose file, JSON beside it or options have changed, and those that failed. A file that cannot be used does not
 stop the others; the exit status is then 2. Workers of a cluster (Dask, with the extra 'cluster') get the curves sent and
-need imr_torch, not the files.
+need imr_torch, not the files. --medium states the medium of all shots; without it each file's JSON may state its own.
 """
 
 import argparse
@@ -25,12 +25,14 @@ from imr_torch.batch_page import write_summary
 from imr_torch.cli.common import (
     METHODS,
     SIMULATORS,
+    add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
     add_window_arguments,
     parse_pair,
     prior_of,
     progress_of,
+    statement_of,
     with_engine,
     write_result,
 )
@@ -59,6 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--method", choices=tuple(METHODS), default="map", help="as for characterize")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     parser.add_argument("--cluster", metavar="ADDRESS", help="Dask scheduler whose workers do it, such as tcp://scheduler:8786")
+    add_medium_argument(parser)
     add_physics_argument(parser)
     add_prior_arguments(parser)
 
@@ -79,6 +82,7 @@ def run(args: argparse.Namespace) -> None:
         rest_radius=parse_pair(args.rest_radius, "--rest-radius"),
         estimate_noise=args.noise == "estimated",
         options=METHODS[args.method],
+        medium=statement_of(args),
         seed=args.seed,
     )
     with _pool(args, workers) as executor:

@@ -46,9 +46,10 @@ from imr_torch.campaign import (
     SpaceFilling,
     stopping_rule,
 )
-from imr_torch.characterize import intervals, predictive_band
+from imr_torch.characterize import intervals, medium_of, predictive_band
 from imr_torch.cli.common import (
     METHODS,
+    add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
     add_workers_argument,
@@ -57,13 +58,16 @@ from imr_torch.cli.common import (
     progress_of,
     save_figure,
     simulator_of,
+    statement_of,
+    with_medium,
     write_result,
 )
 from imr_torch.cli.design import add_space_arguments, plan_of, space_of
 from imr_torch.errors import InputDataError
 from imr_torch.files import remove_temporaries
-from imr_torch.material import PARAMETERS, ReferenceCase, reference_case
-from imr_torch.observe import Experiment, Layout, SimulatedLaboratory, load_traces, prepare
+from imr_torch.material import PARAMETERS, Belief, ReferenceCase, reference_case
+from imr_torch.observe import Experiment, Layout, SimulatedLaboratory, TraceSet, load_traces, prepare
+from imr_torch.observe.medium import label
 from imr_torch.plot import plot_experiment, plot_information, plot_parameter, plot_probabilities
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
@@ -111,6 +115,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="TEXT", help="how to read told files, as for characterize")
     parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax of told files without a tail")
     add_space_arguments(parser)
+    add_medium_argument(parser)
     add_physics_argument(parser)
     add_workers_argument(parser)
     add_prior_arguments(parser)
@@ -127,10 +132,17 @@ def run(args: argparse.Namespace) -> None:
     for option in ("designs", "q"):
         if getattr(args, option) < 1:
             raise InputDataError(f"--{option} is {getattr(args, option)}; expected at least 1.")
-    simulator, settings = simulator_of(args), settings_of(args)
+    settings = settings_of(args)
+    simulator, prior, medium = with_medium(args, simulator_of(args), prior_of(args))
+    if args.case and medium.sds:
+        raise InputDataError(
+            f"--medium gives {label(next(iter(medium.sds)))} a standard deviation, and --case simulates a gel whose medium is "
+            "known; state values alone."
+        )
+    print(medium.report())
     started = time.process_time()
     case = reference_case(args.case) if args.case else None
-    campaign = _open(args, simulator, settings)
+    campaign = _open(args, simulator, prior, settings)
     try:
         with campaign.journal.held():
             remove_temporaries(campaign.journal.folder, f"{args.command}.json", "*.png")
@@ -144,7 +156,7 @@ def run(args: argparse.Namespace) -> None:
         raise KeyboardInterrupt(f"interrupted{kept}") from None
 
 
-def _open(args: argparse.Namespace, simulator: Simulator, settings: CampaignSettings) -> Campaign:
+def _open(args: argparse.Namespace, simulator: Simulator, prior: Belief, settings: CampaignSettings) -> Campaign:
     """The campaign in ``--out``, if that is the one which the options mean to begin or to continue."""
     folder = Path(args.out)
     existing = Journal(folder).events
@@ -155,7 +167,8 @@ def _open(args: argparse.Namespace, simulator: Simulator, settings: CampaignSett
     if (args.resume or args.forget is not None) and not existing:
         option = "--resume" if args.resume else "--forget"
         raise InputDataError(f"{folder} holds no journal to resume; leave {option} away to start one.")
-    return Campaign(folder, prior_of(args), simulator, settings=settings, seed=args.seed, note={"case": args.case})
+    note = {"case": args.case} | ({"medium": args.gel_medium.to_dict()} if args.medium else {})
+    return Campaign(folder, prior, simulator, settings=settings, seed=args.seed, note=note)
 
 
 def settings_of(args: argparse.Namespace) -> CampaignSettings:
@@ -213,6 +226,7 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> None:
         traces = load_traces(*args.tell, layout=Layout.from_text(args.layout) if args.layout else None)
         print(traces.report())
         surroundings = campaign.simulator.conditions.surroundings
+        _check_medium(traces, args)
         prepared = prepare(traces, surroundings, rest_radius=parse_pair(args.rest_radius, "--rest-radius"))
         print(prepared.report())
         experiments = prepared.experiments
@@ -235,6 +249,19 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> None:
     gains = [proposal.gain for proposal in proposals if proposal.gain is not None]
     if len(gains) > 1:
         print(f"expected gain of all together {sum(gains):.2f} nats; each is what a design adds to those before it")
+
+
+def _check_medium(traces: TraceSet, args: argparse.Namespace) -> None:
+    """The medium of a campaign is stated when it begins: told files may say the same, or be overruled by --medium, said."""
+    told, own = medium_of(traces, statement_of(args)), args.gel_medium
+    new = [name for name in told.sources if name not in own.sources]
+    if new:
+        raise InputDataError(
+            f"A told file states the medium ({told.report().splitlines()[0]}), and this campaign assumed its {label(new[0])}; "
+            "tell the file to a campaign that begins with --medium and these values."
+        )
+    for note in told.notes:
+        print(note)
 
 
 def _report(campaign: Campaign, case: ReferenceCase | None, args: argparse.Namespace, seconds: float) -> None:

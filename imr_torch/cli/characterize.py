@@ -9,9 +9,11 @@
 Files are tables (text or .xlsx) with the columns experiment_id, time_s, radius_m, or with units in the header ("time (us)",
 "R [um]"), MATLAB files, or .npz. What their names do not say, --layout says; units are never guessed. In a wide table
 every column of radii is a curve. A JSON file of the same name beside a file may give R_inf, Rmax, their sd, medium, frame
-rate, pixel size and exposure. All curves are taken to be of one gel and are fitted together; --each fits every curve by
-itself, which shows whether they agree. The report says whether the model explains the curves, which rows were left out, which
-frames were fitted, and why.
+rate, pixel size and exposure. --medium states density, sound speed, surface tension, temperature and ambient pressure of the
+gel (--medium water,temperature=310,density=1125:11: with a standard deviation it is inferred beside the gel); the report says
+what was assumed and whether that matters. All curves are taken to be of one gel and are fitted together; --each fits every
+curve by itself, which shows whether they agree. The report says whether the model explains the curves, which rows were left
+out, which frames were fitted, and why.
 """
 
 import argparse
@@ -25,6 +27,7 @@ from imr_torch.characterize import EFFORTS, characterize
 from imr_torch.cli.common import (
     COLLAPSES,
     METHODS,
+    add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
     add_window_arguments,
@@ -34,6 +37,8 @@ from imr_torch.cli.common import (
     prior_of,
     progress_of,
     simulator_of,
+    statement_of,
+    with_medium,
     write_result,
 )
 from imr_torch.cli.figures import save_figures, subfolder
@@ -76,6 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
     parser.add_argument("--html", metavar="FILE", help="write the result with its figures as one HTML file")
+    add_medium_argument(parser)
     add_physics_argument(parser)
     add_prior_arguments(parser)
 
@@ -86,6 +92,7 @@ def run(args: argparse.Namespace) -> None:
         raise InputDataError("--scores predicts curves from others, and --each fits every one alone; leave one of them out.")
     if args.each and args.html:
         raise InputDataError("--html shows one gel, and --each fits every curve by itself; leave one of them out.")
+    statement_of(args)  # checked before any work
     traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
     if args.experiments is not None:
         traces = traces.select(names_of(args.experiments, "--experiments"))
@@ -130,7 +137,8 @@ def _each(traces: TraceSet, args: argparse.Namespace) -> None:
 def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -> tuple[dict[str, Any], str, bool]:
     """Fit some curves together and print the result: its document, the report, and whether all fits have converged."""
     simulator, rounds = simulator_of(args), NOISE_ROUNDS if args.noise == "estimated" else 0
-    prior, rest_radius = prior_of(args), parse_pair(args.rest_radius, "--rest-radius")
+    rest_radius = parse_pair(args.rest_radius, "--rest-radius")
+    simulator, prior, medium = with_medium(args, simulator, prior_of(args), traces)
     prepared = prepare(traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius)
     print(prepared.report())
     result = characterize(
@@ -143,6 +151,7 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -
         options=METHODS[args.method],
         scores=args.scores,
         effort=args.effort,
+        medium=medium,
         seed=args.seed,
         progress=progress_of(args, characterize_stages(rounds, scores=args.scores), label),
     )
@@ -165,7 +174,7 @@ def _show(document: dict[str, Any], report: str, args: argparse.Namespace, folde
 
 def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:
     """The command that looks for what the most probable model lacks, on the same curves."""
-    parts = ["imr-torch", "diagnose", *args.files, "--base", best.model]
+    parts = ["imr-torch", "diagnose", *args.files, "--base", best.material.key.split("+")[0]]
     if best.known:
         parts += ["--known", ",".join(f"{name}={value:g}" for name, value in best.known.items())]
     for option, value in (
@@ -173,6 +182,7 @@ def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:
         ("--experiments", args.experiments),
         ("--rest-radius", args.rest_radius),
         ("--collapses", str(args.collapses) if args.collapses != COLLAPSES else None),
+        ("--medium", args.medium),
         ("--physics", args.physics if args.physics != "transport" else None),
     ):
         if value:

@@ -14,11 +14,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
+from imr_torch.characterize import medium_of
 from imr_torch.cli.figures import save
 from imr_torch.cli.progress import Stage, Terminal
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
+from imr_torch.material.media import NAMED
+from imr_torch.observe import GelMedium, Statement, TraceSet
 from imr_torch.results import header
 from imr_torch.simulate import (
     ACCURACIES,
@@ -89,6 +92,32 @@ def add_physics_argument(parser: argparse.ArgumentParser) -> None:
         default="transport",
         help="transport of heat and vapour, as in real bubbles (default), or polytropic gas, some 20 times faster and biased",
     )
+
+
+MEDIUM_HELP = (
+    "the medium: a name and values in SI, each with an optional standard deviation, for example "
+    "water,temperature=310,density=1125:11 (properties density, sound_speed, surface_tension, temperature, pressure; names "
+    f"{', '.join(NAMED)}); what is not stated is assumed"
+)
+
+
+def add_medium_argument(parser: argparse.ArgumentParser) -> None:
+    """The option that states the medium."""
+    parser.add_argument("--medium", metavar="TEXT", help=MEDIUM_HELP)
+
+
+def statement_of(args: argparse.Namespace) -> Statement | None:
+    """What ``--medium`` states; None where it is not given."""
+    return None if args.medium is None else Statement.from_text(args.medium)
+
+
+def with_medium(
+    args: argparse.Namespace, simulator: Simulator, prior: Belief, traces: TraceSet | None = None
+) -> tuple[Simulator, Belief, GelMedium]:
+    """Simulator and prior with the medium that the options and the files state; the header of results will say it."""
+    medium = medium_of(traces or TraceSet(()), statement_of(args), simulator.conditions.surroundings)
+    args.gel_medium = medium
+    return medium.applied(simulator), medium.believed(prior), medium
 
 
 def add_engine_arguments(parser: argparse.ArgumentParser) -> None:
@@ -212,7 +241,7 @@ def header_of(args: argparse.Namespace) -> dict[str, Any]:
     belief = getattr(args, "belief", None)
     files = [*(getattr(args, "files", None) or ()), *(getattr(args, "tell", None) or ()), *([belief] if belief else [])]
     physics = getattr(args, "physics", None)
-    medium = SIMULATORS[physics].conditions.surroundings if physics else None
+    medium = getattr(args, "gel_medium", None) or (SIMULATORS[physics].conditions.surroundings if physics else None)
     return header(args.command, files=files, medium=medium, command=command_line(args)) | {
         "physics": physics,
         "seed": args.seed,

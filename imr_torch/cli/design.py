@@ -12,6 +12,7 @@ from typing import Any, get_args
 
 from imr_torch.campaign import Optimal
 from imr_torch.cli.common import (
+    add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
     add_workers_argument,
@@ -19,6 +20,7 @@ from imr_torch.cli.common import (
     prior_of,
     progress_of,
     simulator_of,
+    with_medium,
     write_result,
 )
 from imr_torch.cli.figures import save_figures
@@ -76,6 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--draws", type=int, default=16, help="draws per model of each estimate (default 16)")
     parser.add_argument("--out", metavar="DIR", help="folder for the map and JSON")
+    add_medium_argument(parser)
     add_physics_argument(parser)
     add_workers_argument(parser)
     add_prior_arguments(parser)
@@ -122,8 +125,10 @@ def search_to_dict(search: DesignSearch) -> list[dict[str, float]]:
 def run(args: argparse.Namespace) -> None:
     """Search and report."""
     simulator, space = simulator_of(args), space_of(args)
+    simulator, prior, medium = with_medium(args, simulator, prior_of(args))
+    print(medium.report())
     acquisition = ExpectedInformationGain(
-        prior_of(args),
+        prior,
         coarser(simulator),
         ESTIMATORS[args.estimator](args.draws),
         target=args.target,

@@ -14,7 +14,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from imr_torch.characterize import medium_document, medium_of
 from imr_torch.cli.common import (
+    add_medium_argument,
     add_physics_argument,
     add_workers_argument,
     header_of,
@@ -23,14 +25,26 @@ from imr_torch.cli.common import (
     parse_values,
     progress_of,
     simulator_of,
+    statement_of,
     write_result,
 )
 from imr_torch.cli.progress import DIAGNOSE
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.gap import Effect, describe, diagnose, examine, library, load_set, noise_of_traces, to_json, write_page
+from imr_torch.gap import (
+    Effect,
+    describe,
+    diagnose,
+    examine,
+    library,
+    load_set,
+    medium_sensitivities,
+    noise_of_traces,
+    to_json,
+    write_page,
+)
 from imr_torch.material import MATERIALS, wide_prior
-from imr_torch.observe import Experiment, Layout, Noise, load_traces, prepare
-from imr_torch.results.page import footer, provenance_table
+from imr_torch.observe import Experiment, GelMedium, Layout, Noise, TraceSet, load_traces, prepare
+from imr_torch.results.page import assumed_rows, footer, provenance_table
 from imr_torch.simulate import Simulator
 
 _CHUNK = 360  # half of what 25 effects and three experiments take
@@ -60,6 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--collapses", type=int, help="collapses in the window of a curve (default 2)")
     parser.add_argument("--noise", choices=("estimated", "published"), help="default: published for sets, estimated for curves")
     parser.add_argument("--html", metavar="FILE", help="write the report with its figures as one HTML file")
+    add_medium_argument(parser)
     add_physics_argument(parser)
     add_workers_argument(parser)
 
@@ -69,7 +84,8 @@ def run(args: argparse.Namespace) -> None:
     started = time.perf_counter()
     simulator, effects = simulator_of(args, chunk=_CHUNK), _effects(args)
     base = wide_prior((args.base,), known=parse_values(args.known, "--known")).models[0]
-    experiments = _experiments(args, simulator)
+    experiments, medium = _experiments(args, simulator)
+    simulator, base, effects = medium.applied(simulator), medium.believed_of(base), _beside_medium(effects, medium, args)
     if args.experiments is not None:
         experiments = _named(experiments, args.experiments, "--experiments")
     held_out = [] if args.heldout is None else _named(experiments, args.heldout, "--heldout")
@@ -80,11 +96,17 @@ def run(args: argparse.Namespace) -> None:
     progress = progress_of(args, DIAGNOSE)
     report = diagnose(fitted, base=base, effects=effects, noise=noise, simulator=simulator, seed=args.seed, progress=progress)
     parts = examine(report, simulator, unseen=held_out, seed=args.seed, progress=progress)
+    assumed = medium_sensitivities(report.null, report.batch, simulator, medium) if report.converged else ()
     print(describe(report, parts))
-    write_result(args, to_json(report, parts) | {"seconds": time.perf_counter() - started})
+    said = (*medium.learnt(report.null.posterior), *(found.sentence() for found in assumed))
+    print("\n" + "\n".join([medium.report(), *(f"  {sentence} (Of the base model alone.)" for sentence in said)]))
+    of_medium = medium_document(medium, assumed, report.null.posterior)
+    write_result(args, to_json(report, parts) | of_medium | {"seconds": time.perf_counter() - started})
     if args.html:
-        about = header_of(args)
-        page = write_page(report, args.html, parts, facts=provenance_table(about).rows, footer=footer(about))
+        about = header_of(args) | of_medium
+        page = write_page(
+            report, args.html, parts, facts=(*provenance_table(about).rows, *assumed_rows(about)), footer=footer(about)
+        )
         print(f"wrote {page}")
     if not report.converged:
         raise ConvergenceError("a fit that the verdict rests on has not converged (see above).")
@@ -107,21 +129,33 @@ def _effects(args: argparse.Namespace) -> tuple[Effect, ...]:
     return chosen
 
 
-def _experiments(args: argparse.Namespace, simulator: Simulator) -> list[Experiment]:
-    """Sets or curves as experiments; what was read and left out is printed."""
+def _beside_medium(effects: tuple[Effect, ...], medium: GelMedium, args: argparse.Namespace) -> tuple[Effect, ...]:
+    """The effects less those whose parameter is inferred already, as a property of the medium with a standard deviation."""
+    held = [effect.name for effect in effects if set(effect.names) & set(medium.priors)]
+    if held and args.effects is not None and held[0] in names_of(args.effects, "--effects"):
+        raise InputDataError(
+            f"--effects: {held[0]!r} is inferred already, since its value is stated with a standard deviation; leave one out."
+        )
+    return tuple(effect for effect in effects if effect.name not in held)
+
+
+def _experiments(args: argparse.Namespace, simulator: Simulator) -> tuple[list[Experiment], GelMedium]:
+    """Sets or curves as experiments, and their medium; what was read and left out is printed."""
+    statement, assumed = statement_of(args), simulator.conditions.surroundings
     sets = [name for name in args.files if _is_set(name)]
     if not sets:
         traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
         print(traces.report() + "\n")
         rest = parse_pair(args.rest_radius, "--rest-radius")
+        medium = medium_of(traces, statement, assumed)
         prepared = prepare(
             traces,
-            simulator.conditions.surroundings,
+            medium.surroundings,
             collapses=2 if args.collapses is None else args.collapses,
             rest_radius=rest,
         )
         print(prepared.report() + "\n")
-        return list(prepared.experiments)
+        return list(prepared.experiments), medium
     if len(sets) < len(args.files):
         raise InputDataError("Sets (.npz) and files of curves cannot be mixed: their noise is known differently.")
     for option in ("layout", "rest_radius", "collapses"):
@@ -129,15 +163,16 @@ def _experiments(args: argparse.Namespace, simulator: Simulator) -> list[Experim
             raise InputDataError(
                 f"--{option.replace('_', '-')} is about files of curves, and has no effect on sets; leave it out."
             )
-    surroundings = simulator.conditions.surroundings
-    loaded = {name: load_set(name, surroundings=surroundings) for name in sets}
+    medium = medium_of(TraceSet(()), statement, assumed)
+    loaded = {name: load_set(name, surroundings=medium.surroundings) for name in sets}
     if len(loaded) == 1:
-        return next(iter(loaded.values()))
-    return [
+        return next(iter(loaded.values())), medium
+    renamed = [
         Experiment(f"{Path(name).stem} {e.label}", e.design, e.times, e.radius, e.nuisance)
         for name, experiments in loaded.items()
         for e in experiments
     ]
+    return renamed, medium
 
 
 def _is_set(name: str) -> bool:

@@ -3,7 +3,7 @@
   imr-torch simulate --model nhkv --set G=8310,mu=0.093 --we 300 --rinf 0.2 --out bubble
 
 Values are in SI units (G in Pa, mu in Pa s). The design is the Weber number We = p_inf Rmax/(2 gamma) and
-R_inf* = R_inf/Rmax.
+R_inf* = R_inf/Rmax. --medium states the density, sound speed, surface tension, temperature and ambient pressure.
 """
 
 import argparse
@@ -11,10 +11,20 @@ from pathlib import Path
 
 import torch
 
-from imr_torch.cli.common import AnySimulator, add_physics_argument, parse_values, with_engine, write_result
+from imr_torch.characterize import medium_of
+from imr_torch.cli.common import (
+    AnySimulator,
+    add_medium_argument,
+    add_physics_argument,
+    parse_values,
+    statement_of,
+    with_engine,
+    write_result,
+)
 from imr_torch.cli.figures import save_figures
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.material import MATERIALS, PARAMETERS, material
+from imr_torch.observe import TraceSet
 from imr_torch.results import draw_figures
 from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, TransportSimulator
 
@@ -36,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--until", type=float, default=4.0, help="last time, in Rmax/U_c (default 4)")
     parser.add_argument("--frames", type=int, default=161, help="number of output times (default 161)")
     parser.add_argument("--accuracy", choices=("fast", "default", "reference"), default="default", help="named setting")
+    add_medium_argument(parser)
     add_physics_argument(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for figure and JSON")
 
@@ -49,13 +60,21 @@ def run(args: argparse.Namespace) -> None:
         raise InputDataError(f"--frames is {args.frames}; expected 2 to {_MOST_FRAMES}.")
     if not 0.0 < args.until < _LATEST:
         raise InputDataError(f"--until is {args.until}; expected a time in Rmax/U_c above 0 and below {_LATEST:g}.")
-    simulator = with_engine(SIMULATORS[args.physics, args.accuracy], args)
+    bubbles, statement = with_engine(SIMULATORS[args.physics, args.accuracy], args), statement_of(args)
+    uncertain = [name for name, (_, sd) in statement.values.items() if sd is not None] if statement else []
+    if uncertain:
+        raise InputDataError(
+            f"--medium gives {uncertain[0]} a standard deviation, and simulate makes one bubble; leave it out."
+        )
+    args.gel_medium = medium_of(TraceSet(()), statement)
+    simulator = args.gel_medium.applied(bubbles)
     surroundings = simulator.conditions.surroundings
     times = torch.linspace(0.0, args.until, args.frames, dtype=torch.float64)
     design = torch.tensor([[args.we, args.rinf]], dtype=torch.float64)
     solution = simulator(PARAMETERS.pack(values)[None], design, times)
     if not bool(solution.ok.all()):
         raise ConvergenceError(solution.summary())
+    print(args.gel_medium.report())
     max_radius = float(surroundings.max_radius(args.we))
     radius, pressure = solution.radius[0], solution.bubble_pressure[0]
     print(

@@ -3,6 +3,7 @@
 from imr_torch.gap.diagnose import GapReport, diagnose
 from imr_torch.gap.document import to_json
 from imr_torch.gap.fit_test import FitTest, check_fit
+from imr_torch.gap.medium import MediumSensitivity, medium_sensitivities
 from imr_torch.gap.noise import noise_of_traces
 from imr_torch.gap.page import write_page
 from imr_torch.gap.parts import Parts, examine
@@ -15,6 +16,7 @@ __all__ = [
     "Effect",
     "FitTest",
     "GapReport",
+    "MediumSensitivity",
     "Parts",
     "check_fit",
     "describe",
@@ -22,6 +24,7 @@ __all__ = [
     "examine",
     "library",
     "load_set",
+    "medium_sensitivities",
     "noise_of_traces",
     "register_effect",
     "to_json",

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, assimilate
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM
-from imr_torch.material import PARAMETERS, Belief, Effect, Marginal, ModelBelief
+from imr_torch.material import Belief, Effect, ModelBelief
+from imr_torch.material.belief import beside
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import PolytropicSimulator, Simulator
@@ -49,17 +50,7 @@ class Hypothesis:
     @property
     def belief(self) -> ModelBelief:
         """The prior of base and effects together."""
-        priors: dict[str, Marginal] = dict(zip(self.base.names, self.base.marginals, strict=True))
-        for effect in self.effects:
-            priors |= effect.priors
-        names = tuple(name for name in PARAMETERS.names if name in priors)
-        place = [names.index(name) for name in self.base.names]
-        mean = torch.zeros(len(names), dtype=torch.float64)
-        chol = torch.eye(len(names), dtype=torch.float64)
-        mean[place] = self.base.mean
-        chol[torch.tensor(place)[:, None], torch.tensor(place)] = self.base.chol
-        key = "+".join((self.base.model, *self.extra))
-        return ModelBelief(key, tuple(priors[name] for name in names), mean, chol, self.base.known)
+        return beside(self.base, {name: prior for effect in self.effects for name, prior in effect.priors.items()})
 
     def starts(self, null: ModelFit, of_last: Sequence[Sequence[float]] | None = None) -> Tensor:
         """``S x d`` controls ``v``: those of a fit without the last effect, and that at each of some values.

@@ -202,6 +202,33 @@ class ModelBelief:
         return replace(self, cloud=Cloud(controls, precisions))
 
 
+def beside(part: ModelBelief, priors: Mapping[str, Marginal]) -> ModelBelief:
+    """A model with further parameters freed, independent of the others: effects, or properties of the medium.
+
+    Args:
+        part: the belief of the model; it keeps its Gaussian.
+        priors: parameter -> prior, of parameters that the model leaves neutral.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.material import TruncatedNormal
+    >>> from imr_torch.material.belief import beside
+    >>> more = beside(wide_prior(["nhkv"])["nhkv"], {"damage": TruncatedNormal(0.0, 0.1, lower=0.0)})
+    >>> more.model, more.names
+    ('nhkv+damage', ('G', 'mu', 'damage'))
+    """
+    if not priors:
+        return part
+    marginals = dict(zip(part.names, part.marginals, strict=True)) | dict(priors)
+    names = tuple(name for name in PARAMETERS.names if name in marginals)
+    place = torch.tensor([names.index(name) for name in part.names])
+    mean = torch.zeros(len(names), dtype=part.mean.dtype)
+    chol = torch.eye(len(names), dtype=part.mean.dtype)
+    mean[place] = part.mean
+    chol[place[:, None], place] = part.chol
+    key = "+".join((part.model, *priors))
+    return ModelBelief(key, tuple(marginals[name] for name in names), mean, chol, part.known)
+
+
 def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
     """One model's part of a saved belief."""
     if tuple(entry["names"]) != tuple(name for name in material(entry["model"]).free if name not in entry["known"]):

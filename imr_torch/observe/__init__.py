@@ -7,6 +7,7 @@ from imr_torch.observe.laboratory import SimulatedLaboratory
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
 from imr_torch.observe.load import SUFFIXES, find_files, load_traces
+from imr_torch.observe.medium import GelMedium, Statement, gel_medium
 from imr_torch.observe.noise import Noise, fit_noise
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.plausibility import check_experiment, check_maximum
@@ -23,6 +24,7 @@ __all__ = [
     "Experiment",
     "ExperimentBatch",
     "Film",
+    "GelMedium",
     "Given",
     "Landmarks",
     "Layout",
@@ -33,6 +35,7 @@ __all__ = [
     "RadiusTrace",
     "Reader",
     "SimulatedLaboratory",
+    "Statement",
     "TraceSet",
     "check_experiment",
     "check_maximum",
@@ -41,6 +44,7 @@ __all__ = [
     "find_files",
     "find_landmarks",
     "fit_noise",
+    "gel_medium",
     "load_traces",
     "predict",
     "prepare",

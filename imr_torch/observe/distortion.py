@@ -64,7 +64,8 @@ register_effect(
         "frame rate or pixel size is off",
         "measurement",
         {"clock": TruncatedNormal(0.0, 0.025)},
-        confused="vapour pressure, shear modulus",
+        confused="density: nearly the same to first order; vapour pressure, shear modulus",
+        group="time_scale",
     )
 )
 register_effect(

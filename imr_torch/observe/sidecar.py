@@ -8,7 +8,9 @@ Fields, all optional, at the top for all curves, or in an entry of ``experiments
                       "Rinf_m": 4.3e-5, "Rinf_sd_m": 4e-7, "Rinf_settled": true}]}
 
 ``Rinf_sd_m`` states R_inf with its standard deviation; ``Rinf_tail_std_m`` is the scatter of the end of the record.
-``material`` is read as ``medium``. Other fields are left alone. A file with one curve may have its values at the top.
+``material`` is read as ``medium``. A ``medium`` at the top that is an object states properties, with or without a standard
+deviation: ``{"name": "water", "temperature": 310, "density": [1125, 11]}`` (:mod:`imr_torch.observe.medium`).
+Other fields are left alone. A file with one curve may have its values at the top.
 """
 
 from collections.abc import Sequence
@@ -19,6 +21,7 @@ from typing import Any
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_json
 from imr_torch.observe.headers import Said, unit_of
+from imr_torch.observe.medium import Statement
 from imr_torch.observe.traces import Given, TraceSet
 
 _NUMBERS = {
@@ -60,6 +63,7 @@ class Sidecar:
         self.exists = self.path.exists() and self.path != path
         self.top: dict[str, Any] = {}
         self.entries: dict[str, dict[str, Any]] = {}
+        self.stated: Statement | None = None
         if not self.exists:
             return
         document = read_json(self.path, expected=_EXPECTED)
@@ -75,8 +79,12 @@ class Sidecar:
             name = str(entry["experiment_id"])
             if name in self.entries:
                 raise self._unusable(f"experiment_id '{name}' occurs twice; describe every experiment once")
+            if isinstance(entry.get("medium"), dict):
+                raise self._unusable(f"the medium of experiment '{name}' is an object; state properties once, at the top")
             self.entries[name] = entry
         self._check_units()
+        if isinstance(medium := self.top.get("medium"), dict):
+            self.stated = Statement.from_json(medium, str(self.path))
 
     def _unusable(self, why: str) -> InputDataError:
         return InputDataError(f"{self.path}: cannot be used ({why}); {_EXPECTED}: correct it, or move it away.")
@@ -126,9 +134,11 @@ class Sidecar:
         settled = own.get("Rinf_settled", True if own.get("Rinf_sd_m") is not None else None)
         if settled is not None and not isinstance(settled, bool):
             raise self._unusable(f"experiment '{name}': Rinf_settled is {settled!r}; expected true or false")
-        medium = entry.get("medium") or self.top.get("medium") or self.top.get("material")
+        of_all = self.stated.name if self.stated else self.top.get("medium")
+        medium = entry.get("medium") or of_all or self.top.get("material")
         try:
-            return Given(**values, rest_settled=settled, medium=None if medium is None else str(medium))
+            text = None if medium is None else str(medium)
+            return Given(**values, rest_settled=settled, medium=text, stated=self.stated)
         except InputDataError as error:
             raise self._unusable(f"experiment '{name}': {type(error).__name__}: {error}") from error
 

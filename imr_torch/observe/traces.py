@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.observe.medium import Statement
 
 RADIUS_RANGE_M = (1e-7, 1e-1)
 DURATION_RANGE_S = (1e-7, 1.0)
@@ -36,6 +37,7 @@ class Given:
         pixel_size_m: metres per pixel.
         exposure_s: exposure of a frame in s.
         medium: what the bubble was in, as text.
+        stated: what is stated about the medium's properties.
 
     Raises:
         InputDataError: if a number is not finite, or one that must be is not positive.
@@ -55,6 +57,7 @@ class Given:
     pixel_size_m: float | None = None
     exposure_s: float | None = None
     medium: str | None = None
+    stated: Statement | None = None
 
     def __post_init__(self) -> None:
         for names, what in (

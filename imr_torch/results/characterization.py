@@ -57,6 +57,7 @@ def characterization_document(
     >>> document["curves"][0]["frames"]["recorded"], len(document["curves"][0]["models"]["nhkv"]["t_star"])
     (23, 600)
     """
+    simulator = simulator if result.medium is None else result.medium.applied(simulator)
     batch, best = result.assimilation.batch, result.posterior.best.model
     drawn = {fit.model: dense_curve(fit, batch, simulator) for fit in result.assimilation.fits}
     band = predictive_band(result.assimilation, result.posterior, simulator, best, draws=draws, seed=seed, times=drawn[best][0])

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from imr_torch.errors import InputDataError
+from imr_torch.observe import GelMedium
 from imr_torch.units import Surroundings
 
 SCHEMA_VERSION = 1
@@ -27,31 +28,31 @@ UNITS = {
     "R_inf*": "1, R_inf / Rmax",
     "log_evidence, eig, gain": "nats",
 }
-_MEDIUM = {"far_field_pressure": "Pa", "density": "kg/m^3", "surface_tension": "N/m", "temperature": "K", "sound_speed": "m/s"}
 
 
 def header(
     kind: str,
     *,
     files: Sequence[str | Path] = (),
-    medium: Surroundings | None = None,
+    medium: GelMedium | Surroundings | None = None,
     command: str = "",
     now: datetime | None = None,
 ) -> dict[str, Any]:
     """The keys that every result document begins with.
 
     Args:
-        kind: what the document holds, the name of the command that made it.
-        files: data files that were read; JSON files of the same names beside them are named too.
-        medium: the liquid side that was assumed.
-        command: the command line.
-        now: when the result was made; the present when not given.
+            kind: what the document holds, the name of the command that made it.
+            files: data files that were read; JSON files of the same names beside them are named too.
+            medium: the liquid side, with what was stated and what was assumed; of plain surroundings all is assumed.
+            command: the command line.
+            now: when the result was made; the present when not given.
 
-    >>> from imr_torch.results import header
-    >>> from imr_torch.units import Surroundings
-    >>> document = header("characterize", medium=Surroundings(density=998.0))
-    >>> document["schema"], document["medium"]["density"]
-    ({'name': 'imr_torch characterize', 'version': 1}, {'value': 998.0, 'unit': 'kg/m^3'})
+        >>> from imr_torch.results import header
+        >>> from imr_torch.observe import GelMedium
+    from imr_torch.units import Surroundings
+        >>> document = header("characterize", medium=Surroundings(density=998.0))
+        >>> document["schema"], document["medium"]["density"]["value"]
+        ({'name': 'imr_torch characterize', 'version': 1}, 998.0)
     """
     document: dict[str, Any] = {
         "schema": {"name": f"imr_torch {kind}", "version": SCHEMA_VERSION},
@@ -66,7 +67,7 @@ def header(
         "units": UNITS,
     }
     if medium is not None:
-        document["medium"] = {name: {"value": getattr(medium, name), "unit": unit} for name, unit in _MEDIUM.items()}
+        document["medium"] = (GelMedium(medium) if isinstance(medium, Surroundings) else medium).to_dict()
     return document
 
 

@@ -116,6 +116,7 @@ def _assumed(document: Mapping[str, Any], best: str) -> Table:
         rows.append(("Known before", ", ".join(f"{name} = {value:g} {PARAMETERS[name].unit}" for name, value in known.items())))
     if "medium" in document:
         rows.append(("Medium", _medium(document)))
+    rows += assumed_rows(document)
     if "software" in document:
         rows.append(("Made by", footer(document)))
     return Table(tuple(rows))
@@ -128,7 +129,17 @@ _PHYSICS = {
 
 
 def _medium(document: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name.replace('_', ' ')} {x['value']:g} {x['unit']}" for name, x in document["medium"].items())
+    parts = []
+    for name, entry in document["medium"].items():
+        spread = f" ± {entry['sd']:.2g}" if entry.get("sd") else ""
+        value = f"{entry['value']:.5g}{spread} {entry['unit']}"
+        parts.append(f"{name.replace('_', ' ')} {value} ({entry.get('source', 'assumed')})")
+    return "; ".join([*parts, *document.get("medium_notes", ())])
+
+
+def assumed_rows(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What assumed values of the medium would change in the parameters, a row each."""
+    return [("Were the medium another", x["sentence"]) for x in document.get("medium_sensitivities", ())]
 
 
 def frame_lines(document: Mapping[str, Any]) -> tuple[str, ...]:

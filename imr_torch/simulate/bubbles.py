@@ -27,6 +27,8 @@ from imr_torch.material import (
     memory_states,
 )
 from imr_torch.simulate.conditions import SATURATION_PREFACTOR, SATURATION_TEMPERATURE, Conditions
+from imr_torch.simulate.medium import MEDIUM
+from imr_torch.units import Number
 
 
 class Constants(NamedTuple):
@@ -77,10 +79,15 @@ class Constants(NamedTuple):
         )
 
 
+def conductivity_at(temperature: Number, conditions: Conditions) -> Number:
+    """``A T + B`` of the gas, W/(m K), at a temperature in K."""
+    mixture = conditions.mixture
+    return mixture.conductivity_slope * temperature + mixture.conductivity_offset
+
+
 def far_conductivity(conditions: Conditions) -> float:
     """``K_inf = A T_inf + B`` of the gas, W/(m K)."""
-    mixture = conditions.mixture
-    return mixture.conductivity_slope * conditions.surroundings.temperature + mixture.conductivity_offset
+    return conductivity_at(conditions.surroundings.temperature, conditions)
 
 
 class Setting(NamedTuple):
@@ -100,6 +107,10 @@ class Setting(NamedTuple):
         adiabatic: ratio of specific heats.
         gas: amount of gas at time zero over that which rests at ``rest_radius``.
         warmth: mean temperature of the contents at time zero, less 1.
+        pace: ``U_c`` of the medium over that of the surroundings, ``sqrt(rho_0/rho)``.
+        ambient: pressure afar at which the contents were at rest.
+        resting: ``1/We`` at which they were.
+        temperature: of the medium, K.
     """
 
     weber: Tensor
@@ -115,6 +126,10 @@ class Setting(NamedTuple):
     adiabatic: Tensor
     gas: Tensor
     warmth: Tensor
+    pace: Tensor
+    ambient: Tensor
+    resting: Tensor
+    temperature: Tensor
 
     @classmethod
     def of(cls, designs: Tensor, conditions: Conditions) -> "Setting":
@@ -139,6 +154,10 @@ class Setting(NamedTuple):
             adiabatic=all_at(conditions.mixture.heat_ratio),
             gas=all_at(1.0),
             warmth=all_at(0.0),
+            pace=all_at(1.0),
+            ambient=all_at(1.0),
+            resting=1.0 / weber,
+            temperature=all_at(outer.temperature),
         )
 
 
@@ -167,6 +186,7 @@ class Numbers(NamedTuple):
         heating: ``12 Br/Re``.
         damping: ``4/Re``, for the time scale of explicit steps.
         spring: elastic pressure at large strain, for the same.
+        pace: see :class:`Setting`.
     """
 
     rest_radius: Scalar
@@ -190,6 +210,7 @@ class Numbers(NamedTuple):
     heating: Scalar
     damping: Scalar
     spring: Scalar
+    pace: Scalar
 
     @classmethod
     def of(cls, setting: Setting, theta: Mapping[str, Tensor], conditions: Conditions) -> "Numbers":
@@ -198,12 +219,13 @@ class Numbers(NamedTuple):
         kind, speed = conditions.mixture.vapour, outer.velocity_scale
         rest, size = setting.rest_radius, outer.max_radius(setting.weber)
         nothing = torch.zeros_like(rest)
-        at_rest = 1.0 + 1.0 / (setting.weber * rest)
+        at_rest = setting.ambient + setting.resting / rest
+        warm, lightness = setting.temperature, setting.pace**2
         amount = setting.gas * (1.0 + setting.warmth)  # times the temperature: what the pressure is proportional to
         beside = setting.saturation if gas.vapour else nothing
         inside = nothing if kind == "absent" else setting.saturation
         capacity = 1.0 if medium.capacity_of == "gas_wall" else medium.heat_capacity
-        chi = outer.temperature * far_conductivity(conditions) / (outer.far_field_pressure * speed) / size
+        chi = warm * conductivity_at(warm, conditions) / (outer.far_field_pressure * speed) / size
         prefactor = SATURATION_PREFACTOR / (outer.far_field_pressure * conditions.saturation)
         numbers = cls(
             rest_radius=rest,
@@ -223,10 +245,11 @@ class Numbers(NamedTuple):
             chi=chi,
             chi_gas=chi * setting.conduction,
             fom=conditions.mixture.diffusivity / speed / size,
-            foh=medium.conductivity / (outer.density * capacity * speed) / size,
-            heating=12.0 * speed**2 / (capacity * outer.temperature) * theta["mu"] * float(medium.warm),
-            damping=4.0 * theta["mu"],
+            foh=medium.conductivity / (outer.density * capacity * speed) / size * lightness,
+            heating=12.0 * speed**2 / (capacity * warm) * theta["mu"] * float(medium.warm) * lightness,
+            damping=4.0 * theta["mu"] * lightness,
             spring=2.0 * theta["G"] * (1.0 + theta["alpha"].abs()) + 2.0 * theta["G_lin"],
+            pace=setting.pace,
         )
         return cls(*torch.broadcast_tensors(*numbers))
 
@@ -268,6 +291,9 @@ class Bubbles:
         acting = _acting(rows)
         effects = tuple(e for e in LIBRARY.values() if e.physical and e.names[0] in acting)
         setting = Setting.of(designs, conditions)
+        for name, law in MEDIUM.items():
+            if name in acting:
+                setting = law(setting, theta[name])
         for effect in effects:
             if effect.setting is not None:
                 setting = effect.setting(setting, *(theta[name] for name in effect.names))

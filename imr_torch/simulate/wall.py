@@ -101,18 +101,19 @@ def _motion(bubbles: Bubbles, head: Head, far: Tensor, far_rate: Tensor) -> tupl
     stress, memory_rate = gel_response(bubbles.terms, radius, velocity, numbers.rest_radius, bubbles.theta, head.memory)
     tension = numbers.tension / radius
     inertia = stress.acceleration if bubbles.constants.stress_acceleration else torch.zeros_like(stress.acceleration)
+    pace = numbers.pace  # in units of the medium's own U_c, the radial equation is that of any density
     acceleration = bubbles.conditions.motion.acceleration(
         radius,
-        velocity,
+        velocity / pace,
         head.pressure - tension + stress.value,
-        head.pressure_rate + tension * velocity / radius + stress.rate,
-        inertia,
+        (head.pressure_rate + tension * velocity / radius + stress.rate) / pace,
+        inertia * pace,
         far,
-        far_rate,
-        numbers.slowness,
+        far_rate / pace,
+        numbers.slowness * pace,
         numbers.image,
     )
-    return acceleration, memory_rate
+    return acceleration * pace * pace, memory_rate
 
 
 def gas_loss(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> Tensor:

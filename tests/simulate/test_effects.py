@@ -36,6 +36,10 @@ BASE = {"G": 4e3, "mu": 0.08}
 DESIGN, TIMES = tensor(300.0, 0.3), grid(1.5, 31)
 BEYOND = {
     "sound_speed": 0.5,
+    "density": 0.1,
+    "medium_tension": 0.5,
+    "medium_pressure": 0.05,
+    "medium_temperature": 0.02,
     "surface_tension": 1.0,
     "heat_exchange": 0.7,
     "vapour_pressure": 0.05,

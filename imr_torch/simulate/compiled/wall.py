@@ -92,22 +92,23 @@ def far_field(time, member, setup):
 def balance(radius, velocity, pressure, rate, stress, far, far_rate, member, setup):
     """``U'`` from the contents' pressure and its rate, the gel's stress and the far field; all real or all complex."""
     value, stress_rate, inertia = stress
-    tension = member.b.tension / radius
+    tension, pace = member.b.tension / radius, member.b.pace
     if not setup.c.stress_acceleration:
         inertia = 0.0 * inertia
-    return laws.radial(
+    force = laws.radial(
         setup.motion,
         radius,
-        velocity,
+        velocity / pace,
         pressure - tension + value,
-        rate + tension * velocity / radius + stress_rate,
-        inertia,
+        (rate + tension * velocity / radius + stress_rate) / pace,
+        inertia * pace,
         far,
-        far_rate,
-        member.b.slowness,
+        far_rate / pace,
+        member.b.slowness * pace,
         member.b.image,
         setup.liquid,
     )
+    return force * pace * pace
 
 
 def motion(time, radius, velocity, pressure, rate, memory, memory_rates, member, setup):

@@ -1,0 +1,153 @@
+"""Named media: density, sound speed and surface tension of water, solutions and gels, each with its source.
+
+A named medium states what its source states, and no more. All are mostly water: at another temperature than the source's their
+density, sound speed and surface tension follow those of water, by ratio. Vapour pressure is not a property here; it follows
+from the temperature in the simulator (:func:`imr_torch.simulate.conditions.saturation_pressure`). Viscosity is inferred.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from imr_torch.errors import InputDataError
+
+ROOM = 298.15
+"""Temperature, K, at which a source without one is read."""
+
+_ZERO = 273.15
+_CRITICAL = 647.096  # K
+
+
+def water_density(temperature: float) -> float:
+    """Density of water in kg/m^3 at 1 atm and a temperature in K, 0 to 100 degrees (Kell, J. Chem. Eng. Data 20, 1975).
+
+    >>> from imr_torch.material.media import water_density
+    >>> round(water_density(298.15), 2)
+    997.05
+    """
+    t = temperature - _ZERO
+    coefficients = (999.83952, 16.945176, -7.9870401e-3, -46.170461e-6, 105.56302e-9, -280.54253e-12)
+    return sum(c * t**i for i, c in enumerate(coefficients)) / (1.0 + 16.879850e-3 * t)
+
+
+def water_sound_speed(temperature: float) -> float:
+    """Sound speed of water in m/s at 1 atm and a temperature in K, 0 to 95 degrees.
+
+    Marczak, J. Acoust. Soc. Am. 102 (1997).
+
+    >>> from imr_torch.material.media import water_sound_speed
+    >>> round(water_sound_speed(298.15), 1)
+    1496.7
+    """
+    t = temperature - _ZERO
+    coefficients = (1402.385, 5.038813, -5.799136e-2, 3.287156e-4, -1.398845e-6, 2.787860e-9)
+    return sum(c * t**i for i, c in enumerate(coefficients))
+
+
+def water_surface_tension(temperature: float) -> float:
+    """Surface tension of water in N/m at a temperature in K (IAPWS R1-76, 2014).
+
+    >>> from imr_torch.material.media import water_surface_tension
+    >>> round(water_surface_tension(298.15), 4)
+    0.072
+    """
+    t = 1.0 - temperature / _CRITICAL
+    return 235.8e-3 * t**1.256 * (1.0 - 0.625 * t)
+
+
+OF_WATER: dict[str, Callable[[float], float]] = {
+    "density": water_density,
+    "sound_speed": water_sound_speed,
+    "surface_tension": water_surface_tension,
+}
+"""Field of :class:`imr_torch.units.Surroundings` -> its value for water at a temperature."""
+
+
+@dataclass(frozen=True)
+class NamedMedium:
+    """What a source states about a medium.
+
+    Args:
+        name: by which it is asked for.
+        source: where the values come from.
+        values: density, sound_speed, surface_tension, SI, as far as the source states them.
+        sds: standard deviations of some of them.
+        temperature: K, of the values.
+
+    >>> from imr_torch.material.media import named_medium
+    >>> named_medium("water").at(310.0)["density"] < named_medium("water").at(298.15)["density"]
+    True
+    """
+
+    name: str
+    source: str
+    values: Mapping[str, float]
+    sds: Mapping[str, float] = field(default_factory=dict)
+    temperature: float = ROOM
+
+    def at(self, temperature: float) -> dict[str, float]:
+        """The values at a temperature in K: moved as those of water are, by ratio."""
+        return {
+            name: value * (OF_WATER[name](temperature) / OF_WATER[name](self.temperature))
+            for name, value in self.values.items()
+        }
+
+
+def _water(salt: float = 0.0) -> dict[str, float]:
+    """Water at room temperature with grams of salt per kilogram, as sea water of that salinity."""
+    return {
+        "density": water_density(ROOM) + 0.75 * salt,
+        "sound_speed": water_sound_speed(ROOM) + 1.07 * salt,
+        "surface_tension": water_surface_tension(ROOM) + 2.8e-5 * salt,
+    }
+
+
+_PEG = (
+    "aqueous PEG at 298 K: 20 % as measured for PEG 3000 (1029.7 kg/m^3; J. Korean Chem. Soc. 63, 2019, suppl.), higher shares "
+    "from specific volumes between that and the pure melt's; 1 % sd, since none is of PEG 8000 itself"
+)
+_IMR_PRIME = "density in the scripts of the measurements (github.com/vsnchz248/IMR_PRIME); nothing else is stated there"
+
+NAMED: dict[str, NamedMedium] = {
+    medium.name: medium
+    for medium in (
+        NamedMedium("water", "Kell 1975 (density), Marczak 1997 (sound speed), IAPWS R1-76 (surface tension)", _water()),
+        NamedMedium("pbs", "water with 9.6 g/kg of salts, taken as sea water of that salinity (UNESCO 44, 1983)", _water(9.6)),
+        NamedMedium("agarose_0.5", _IMR_PRIME, {"density": 1003.0}),
+        NamedMedium("agarose_5", _IMR_PRIME, {"density": 1050.0}),
+        NamedMedium(
+            "gelatin_10",
+            "volumes of water and of 10 % gelatin by mass added, .69 cm^3/g as of dissolved proteins; 1 % sd",
+            {"density": 1029.0},
+            {"density": 10.0},
+        ),
+        NamedMedium(
+            "polyacrylamide",
+            "scripts of pIMR (Zhu et al., Soft Matter 2025)",
+            {"density": 998.2, "sound_speed": 1484.0, "surface_tension": 0.070},
+        ),
+        NamedMedium(
+            "polyacrylamide_10",
+            "scripts of fitIMR (github.com/zhirenruns/fitIMR), 10 % gels",
+            {"density": 1020.0, "sound_speed": 1430.0, "surface_tension": 0.07},
+        ),
+        *(
+            NamedMedium(f"peg8k_{share}", _PEG, {"density": value}, {"density": 0.01 * value})
+            for share, value in ((20, 1030.0), (40, 1066.0), (60, 1100.0), (80, 1122.0))
+        ),
+    )
+}
+"""Name -> medium."""
+
+
+def named_medium(name: str) -> NamedMedium:
+    """The medium of a name.
+
+    Raises:
+        InputDataError: for an unknown name; the message lists the known ones.
+    """
+    if name not in NAMED:
+        raise InputDataError(
+            f"Unknown medium {name!r}; known are {', '.join(NAMED)}. State another one by its values, for example "
+            "density=1125:11,sound_speed=1560."
+        )
+    return NAMED[name]
