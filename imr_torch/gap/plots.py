@@ -218,7 +218,7 @@ def plot_ladder(found: Ladder, *, ax: Axes | None = None) -> Axes:
         ax.text(rung.misfit + 0.01 * top, place, f" {rung.misfit:.4f}{closed}", va="center", fontsize=7)
     names = ["base model", *("+ " + plain(_added(a, b), 40) for a, b in itertools.pairwise(rungs))]
     ax.set_yticks(places, names, fontsize=8)
-    ax.set(xlabel="misfit in $R^*$ (root mean square, beyond noise)", xlim=(0.0, 1.9 * top), ylim=(-0.6, len(rungs) - 0.4))
+    ax.set(xlabel="misfit in $R^*$ (root mean square, beyond noise)", xlim=(0.0, 2.3 * top), ylim=(-0.6, len(rungs) - 0.4))
     ax.legend(frameon=False, fontsize=7, loc="lower right")
     return ax
 
