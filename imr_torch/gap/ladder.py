@@ -131,7 +131,8 @@ class Ladder:
         else:
             low, middle, high = last.closed
             share = f"{verb} {middle:.2f} ({low:.2f} to {high:.2f}) of the gap on designs that the fits did not see"
-        named = " and ".join((", ".join(last.effects[:-1]), last.effects[-1])) if len(last.effects) > 1 else last.effects[0]
+        *others, end = last.effects
+        named = f"{', '.join(others)} and {end}" if others else end
         if last.adequate:
             return f"{named} {share}; what is left is noise."
         part = last.worst

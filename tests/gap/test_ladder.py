@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.gap import Parts, describe, diagnose, examine, library, to_json
+from imr_torch.gap import Ladder, Parts, describe, diagnose, examine, library, to_json
 from imr_torch.gap.attribute import Inquiry, adequacy_test
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.ladder import climb, left_over
@@ -51,18 +51,27 @@ def test_that_rungs_are_written_down(climbed) -> None:
     assert str(parts.ladder) in describe(report, parts)
 
 
-def test_that_without_the_right_effect_the_ladder_says_what_is_left_and_where() -> None:
+def test_that_what_is_left_and_where_is_said_of_a_rung_that_is_not_adequate(climbed) -> None:
+    ladder = climbed[1].ladder
+    last = replace(ladder.rungs[-1], test=replace(ladder.rungs[-1].test, p_value=1e-9))
+    said = str(Ladder((*ladder.rungs[:-1], last)))
+    assert "what is left lies most in the phase" in said
+    assert last.worst.phase in said
+    assert "no further effect" in said
+
+
+def test_that_what_explains_the_designs_it_was_fitted_to_but_no_other_closes_nothing() -> None:
     batch = shoot({"sound_field": 0.05, "sound_frequency": 1.5, "sound_phase": 0.3}, DESIGNS, repeats=40)
     effects = library(("refraction", "surface_tension", "gas_loss"))
     report = diagnose(list(batch.experiments), effects=effects, simulator=SIMULATOR)
     ladder = examine(report, SIMULATOR).ladder
     assert report.verdict == "other"
-    last = ladder.rungs[-1]
-    assert not last.adequate
-    assert last.misfit > 0.0
-    assert "no further effect" in str(ladder)
-    assert sum(part.share for part in last.left) == pytest.approx(1.0)
+    assert ladder is not None
     assert all(rung.gained > 3.0 for rung in ladder.rungs[1:])
+    assert not ladder.rungs[-1].adequate
+    assert ladder.best.effects == ()
+    assert str(ladder) == "No effect of the library closes any of the gap."
+    assert sum(part.share for part in ladder.rungs[-1].left) == pytest.approx(1.0)
 
 
 def test_that_an_effect_which_another_makes_superfluous_is_dropped() -> None:
