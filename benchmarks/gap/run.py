@@ -19,7 +19,7 @@ from imr_torch.gap.attribute import ADEQUATE, adequacy_test
 from imr_torch.gap.diagnose import impatient
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.gap.locate import PHASES, onset
-from imr_torch.gap.shrinkage import held_out, shrinkage_unseen
+from imr_torch.gap.shrinkage import held_out, hold_out, judge
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
@@ -164,7 +164,8 @@ def _shrinkage(data: SyntheticSet, report: GapReport, simulator: Simulator, seed
     loose = [h for h in (right, other) if h and not fits[h.name].certificate.converged]
     fits |= fit_hypotheses(loose, report.null, report.batch, simulator, seed=child(seed, "loose")) if loose else {}
     unseen = ExperimentBatch(data.unseen, report.batch.noise)
-    judged = shrinkage_unseen(right, other, fits, unseen, simulator, seed=child(seed, "shrinkage"))
+    held = hold_out(fits, report.batch, simulator, seed=seed, unseen=unseen)
+    judged = judge(right, other, fits, held, seed=child(seed, "shrinkage"))
     clean = data.noiseless(unseen=True)
     parts = [ExperimentBatch((e,), clean.noise) for e in clean.experiments]
     true_gap = {n: sum(float(held_out(fits[n], p, simulator).residual.square().sum()) for p in parts) for n in ("none", truth)}

@@ -31,6 +31,7 @@ from imr_torch.cli.common import (
 from imr_torch.cli.progress import DIAGNOSE
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import (
+    MOST,
     Effect,
     describe,
     diagnose,
@@ -73,6 +74,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for curves without a tail")
     parser.add_argument("--collapses", type=int, help="collapses in the window of a curve (default 2)")
     parser.add_argument("--noise", choices=("estimated", "published"), help="default: published for sets, estimated for curves")
+    parser.add_argument(
+        "--most", type=int, default=MOST, metavar="N", help=f"effects that are added one after the other (default {MOST})"
+    )
     parser.add_argument("--html", metavar="FILE", help="write the report with its figures as one HTML file")
     add_medium_argument(parser)
     add_physics_argument(parser)
@@ -82,6 +86,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Check everything that was asked for, diagnose, report."""
     started = time.perf_counter()
+    if args.most < 1:
+        raise InputDataError(f"--most is {args.most}; expected at least 1 effect to add.")
     simulator, effects = simulator_of(args, chunk=_CHUNK), _effects(args)
     base = wide_prior((args.base,), known=parse_values(args.known, "--known")).models[0]
     experiments, medium = _experiments(args, simulator)
@@ -95,7 +101,7 @@ def run(args: argparse.Namespace) -> None:
     noise = _noise(args, fitted)
     progress = progress_of(args, DIAGNOSE)
     report = diagnose(fitted, base=base, effects=effects, noise=noise, simulator=simulator, seed=args.seed, progress=progress)
-    parts = examine(report, simulator, unseen=held_out, seed=args.seed, progress=progress)
+    parts = examine(report, simulator, unseen=held_out, most=args.most, seed=args.seed, progress=progress)
     assumed = medium_sensitivities(report.null, report.batch, simulator, medium) if report.converged else ()
     print(describe(report, parts))
     said = (*medium.learnt(report.null.posterior), *(found.sentence() for found in assumed))

@@ -3,21 +3,25 @@
 from imr_torch.gap.diagnose import GapReport, diagnose
 from imr_torch.gap.document import to_json
 from imr_torch.gap.fit_test import FitTest, check_fit
+from imr_torch.gap.ladder import Ladder, Rung
 from imr_torch.gap.medium import MediumSensitivity, medium_sensitivities
 from imr_torch.gap.noise import noise_of_traces
 from imr_torch.gap.page import write_page
-from imr_torch.gap.parts import Parts, examine
+from imr_torch.gap.parts import MOST, Parts, examine
 from imr_torch.gap.report import describe
 from imr_torch.gap.sets import load_set
 from imr_torch.material import LIBRARY, Effect, library, register_effect
 
 __all__ = [
     "LIBRARY",
+    "MOST",
     "Effect",
     "FitTest",
     "GapReport",
+    "Ladder",
     "MediumSensitivity",
     "Parts",
+    "Rung",
     "check_fit",
     "describe",
     "diagnose",

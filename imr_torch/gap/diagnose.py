@@ -47,6 +47,7 @@ class GapReport:
         cause: names of the effects that the verdict names.
         seconds: wall time.
         reason: one sentence on how the verdict came about.
+        fits: every hypothesis that was fitted, by name; those far behind the best of their step have not converged.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -71,6 +72,7 @@ class GapReport:
     cause: tuple[str, ...]
     seconds: float
     reason: str = field(default="")
+    fits: dict[str, ModelFit] = field(default_factory=dict)
 
     @property
     def found(self) -> bool:
@@ -136,12 +138,13 @@ def diagnose(
     if progress:
         progress(f"gap test: p = {gap.p_value:.2g}, leading block {gap.blocks[0].name}")
 
+    fits = {"none": null}
     if not null.certificate.converged:
         found = _Finding("undecided", (), f"The base model's fit did not converge: {null.certificate}.")
     elif not gap.found:
         found = _Finding("none", (), "No block of the gap test rejects the base model.")
     else:
-        found = _select(Inquiry(base, effects, batch, simulator), null, base_left, most, seed=seed, progress=progress)
+        found = _select(Inquiry(base, effects, batch, simulator), null, base_left, most, fits, seed=seed, progress=progress)
     return GapReport(
         batch=batch,
         null=null,
@@ -154,6 +157,7 @@ def diagnose(
         cause=found.cause,
         seconds=time.perf_counter() - start,
         reason=found.reason,
+        fits=fits,
     )
 
 
@@ -183,12 +187,21 @@ class _Finding:
     adequacy_p: float | None = None
 
 
-def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed: int, progress: Progress | None) -> _Finding:
+def _select(
+    inquiry: Inquiry,
+    null: ModelFit,
+    left: Adequacy,
+    most: int,
+    fits: dict[str, ModelFit],
+    *,
+    seed: int,
+    progress: Progress | None,
+) -> _Finding:
     """Forward selection of effects until the fit is adequate, and the verdict that follows.
 
     Each round adds the effect of largest evidence beside those chosen. If the gap test at that fit no longer rejects, the
     effects (or the class that the data do not tell apart) are the cause; if none is adequate, the cause is "other", or
-    undecided where the last fit has not nearly converged.
+    undecided where the last fit has not nearly converged. Every fit is put into ``fits``.
     """
     chosen: tuple[Effect, ...] = ()
     fit, test, starts = null, left.test, left.starts
@@ -197,6 +210,7 @@ def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed
     while len(chosen) < most and inquiry.beside(chosen):
         own = child(seed, "attribute", len(chosen))
         found = attribute(inquiry, fit, starts, seed=own, with_=chosen, progress=progress)
+        fits |= found.fits
         gained = found.log_evidence[found.winner] - found.log_evidence[Hypothesis(inquiry.base, chosen).name]
         if chosen and gained < _FURTHER:
             break

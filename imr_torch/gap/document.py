@@ -5,8 +5,9 @@ from typing import Any
 
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.identity_design import NextDesign
+from imr_torch.gap.ladder import Rung
 from imr_torch.gap.parts import Parts
-from imr_torch.gap.report import cause_values, fit_of_cause, headline, next_step, parameter_shift, parameters
+from imr_torch.gap.report import all_parameters, cause_values, fit_of_cause, headline, next_step, parameter_shift, parameters
 
 
 def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
@@ -38,6 +39,7 @@ def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
         "adequacy_p": report.adequacy_p,
         "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
         "best_rival": None if judged is None else judged.rival,
+        "ladder": None if parts.ladder is None else [_rung(rung) for rung in parts.ladder.rungs],
         "cause_values": cause_values(report),
         "parameter_shift": parameter_shift(report),
         "parameters": parameters(report),
@@ -72,6 +74,23 @@ def curves_of(report: GapReport) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _rung(rung: Rung) -> dict[str, Any]:
+    """A rung of the ladder: its effects, what is left and where, what is closed on held-out designs, and the parameters."""
+    return {
+        "effects": list(rung.effects),
+        "misfit": rung.misfit,
+        "noise": rung.noise,
+        "left": [vars(part) for part in rung.left],
+        "gained_nats": rung.gained,
+        "closed": None if rung.closed is None else list(rung.closed),
+        "log_score": None if rung.log_score is None else list(rung.log_score),
+        "adequacy_p": rung.test.p_value,
+        "converged": rung.converged,
+        "certificate": str(rung.fit.certificate),
+        "parameters": all_parameters(rung.fit),
+    }
 
 
 def _design(found: NextDesign) -> dict[str, Any]:

@@ -1,9 +1,12 @@
 """Hypotheses of a diagnosis and their fits: the base model alone, or with one or more effects freed.
 
 A hypothesis is the base model's prior with the effects' priors beside it, so everything that fits, weighs or designs for
-models does so for causes. Fits of effects start at the null fit, with the effect at each of its starts.
+models does so for causes. Fits of effects start at the null fit, with the effect at each of its starts. Coarse bubbles
+(:func:`imr_torch.simulate.coarser`) lead the way to each minimum and leave out what is far behind; every fit that counts ends
+with the simulator that was given.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,18 +14,20 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, assimilate
-from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM
+from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, assimilate
+from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
 from imr_torch.material import Belief, Effect, ModelBelief
 from imr_torch.material.belief import beside
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
-from imr_torch.simulate import PolytropicSimulator, Simulator
+from imr_torch.simulate import PolytropicSimulator, Simulator, coarser
 from imr_torch.types import Progress
 
 _ROUGH = SearchOptions(gradient=1e-2, starts=2)
 _MANY = 6  # starts where fewer disagree
 _APART = 0.3  # prior standard deviations between the starts of the null fit
+_ROUGHLY = 0.03  # gradient at which a fit by coarse bubbles ends
+_TOO_COARSE = 200.0  # nats of error of the cost beyond which coarse bubbles lead nowhere
 
 
 @dataclass(frozen=True)
@@ -100,12 +105,11 @@ def fit_null(
 def _lower(one: ModelFit, other: ModelFit, options: SearchOptions) -> ModelFit:
     """The lower of two fits, certified also if the other search found that minimum too."""
     low, high = sorted((one, other), key=lambda fit: fit.cost)
-    return _certified(low, high.cost - low.cost, options)
+    return _certified(low, min(low.certificate.agreement, high.cost - low.cost), options)
 
 
 def _certified(fit: ModelFit, agreement: float, options: SearchOptions) -> ModelFit:
     """A fit with a certificate that counts agreement with other starts than its own, nats."""
-    agreement = min(fit.certificate.agreement, agreement)
     converged = fit.certificate.gradient < options.gradient and agreement < options.agreement
     return replace(fit, certificate=replace(fit.certificate, agreement=agreement, converged=converged))
 
@@ -124,7 +128,7 @@ def _search_null(
     spread = _APART * torch.randn(2, len(rough.mean), generator=generator(child(seed, "null")), dtype=torch.float64)
     starts = torch.cat((rough.mean[None], rough.mean + spread))
     options = SearchOptions(mask_collapses=True)  # the polytropic collapse may be on another side of a frame
-    fit = search(starts=[starts], options=options).fits[0]
+    fit = _descend(belief, batch, simulator, seed=seed, options=options, starts=[starts], progress=progress)[0]
     if fit.certificate.converged:
         return fit
     return min(fit, search(options=scouted).fits[0], key=lambda found: found.cost)
@@ -159,18 +163,68 @@ def fit_hypotheses(
     rows = [h.starts(null, (starts or {}).get(h.effects[-1].name)) for h in hypotheses]
     beliefs = tuple(h.belief for h in hypotheses)
     belief = Belief(beliefs, torch.zeros(len(beliefs), dtype=torch.float64))
-    found = assimilate(
+    found = _descend(
         belief,
         batch,
         simulator,
         seed=seed,
-        options=options,
+        options=options or SearchOptions(),
         starts=rows,
         nuisances=[null.nuisances] * len(rows),
-        warn=False,
         progress=progress,
     )
-    return {h.name: fit for h, fit in zip(hypotheses, found.fits, strict=True)}
+    return {h.name: fit for h, fit in zip(hypotheses, found, strict=True)}
+
+
+def _descend(
+    belief: Belief,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+    options: SearchOptions,
+    starts: Sequence[Tensor],
+    nuisances: Sequence[Tensor] | None = None,
+    progress: Progress | None = None,
+) -> list[ModelFit]:
+    """Fits by coarse bubbles, then, of those not far behind, by the simulator's own from where these ended.
+
+    A fit that was left behind has the cost that the simulator gives it where it ended, and has not converged.
+    """
+    search = partial(assimilate, seed=seed, warn=False, progress=progress)
+    coarse = coarser(simulator)
+    same = coarse is simulator
+    error = 0.0 if same else _coarse_error(Posterior(belief.models[0], batch, simulator), starts[0][:1], nuisances)
+    if same or error > _TOO_COARSE:
+        return list(search(belief, batch, simulator, options=options, starts=starts, nuisances=nuisances).fits)
+    reach = None if options.drop_behind is None else options.drop_behind + error
+    rough = replace(options, drop_behind=reach, gradient=max(options.gradient, _ROUGHLY))
+    found = search(belief, batch, coarse, options=rough, starts=starts, nuisances=nuisances).fits
+    fits = [_seen_by(fit, batch, simulator) for fit in found]
+    limit = math.inf if reach is None else min(fit.cost for fit in fits) + reach
+    near = [i for i, fit in enumerate(fits) if fit.cost - PROMISED * fit.certificate.gradient**2 <= limit]
+    kept = Belief(tuple(belief.models[i] for i in near), torch.zeros(len(near), dtype=torch.float64))
+    start = Assimilation(kept, batch, tuple(fits[i] for i in near))
+    own = replace(options, starts=2, mask_collapses=False)
+    for i, fit in zip(near, search(kept, batch, simulator, options=own, near=start).fits, strict=True):
+        fits[i] = _certified(fit, max(fit.certificate.agreement, found[i].certificate.agreement), own)
+    return fits
+
+
+def _coarse_error(posterior: Posterior, gel: Tensor, nuisances: Sequence[Tensor] | None) -> float:
+    """Error of the cost by coarse bubbles where a model fits the data, at one gel (``1 x d``), nats."""
+    point = Point(gel, (posterior.still() if nuisances is None else nuisances[0])[None])
+    fine, coarse = posterior.predict(point)[0], posterior.coarse.predict(point)[0]
+    change = posterior.batch.whiten(fine - coarse, posterior.batch.sd(fine))
+    return 0.5 * float(change.square().sum().nan_to_num(math.inf))
+
+
+def _seen_by(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> ModelFit:
+    """A fit by other bubbles with the cost and the prediction that a simulator gives it, as one that has not converged."""
+    posterior = Posterior(fit.prior, batch, simulator)
+    seen = posterior.predict(fit.point)
+    cost = -float(posterior.log_joint(fit.point, seen))
+    return replace(fit, cost=cost, prediction=seen, certificate=replace(fit.certificate, converged=False))
 
 
 def finish(
@@ -186,7 +240,7 @@ def finish(
     found = assimilate(near.prior, batch, simulator, seed=seed, options=options, near=near, warn=False, progress=progress)
     ended = found.fits[0]
     if fit.certificate.gradient < NEARLY and abs(fit.cost - ended.cost) < ONE_MINIMUM:
-        return _certified(ended, fit.certificate.agreement, options)
+        return _certified(ended, min(ended.certificate.agreement, fit.certificate.agreement), options)
     return ended
 
 

@@ -150,6 +150,10 @@ def _pictures(report: GapReport, parts: Parts) -> list[Placed]:
         caption = "Part of the gap on held-out designs that the cause and its best rival remove."
         alt = "Intervals of the part of the gap that is removed; the sentences above give the numbers."
         made.append(_picture("How far does it shrink?", caption, alt, lambda: plots.plot_shrinkage(judged)))
+    if (ladder := parts.ladder) is not None:
+        caption = "From the base model towards the noise: what is left of the misfit as effects are added one after the other."
+        alt = f"Bar chart of the misfit by rung. {ladder}"
+        made.append(_picture("How much do known effects close together?", caption, alt, lambda: plots.plot_ladder(ladder)))
     if (after := fit_of_cause(report)) is not None:
         made.append(
             _picture(

@@ -7,19 +7,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imr_torch.errors import ConvergenceError
-from imr_torch.gap.attribute import Attribution
+from imr_torch.gap.attribute import Attribution, Inquiry
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign, identity_design
+from imr_torch.gap.ladder import Ladder, climb, with_held_out
 from imr_torch.gap.latent import LatentPressure, latent_pressure
 from imr_torch.gap.locate import ByExperiment, Onset, by_experiment, onset
-from imr_torch.gap.shrinkage import Shrinkage, shrinkage, shrinkage_unseen
+from imr_torch.gap.shrinkage import Shrinkage, hold_out, judge
 from imr_torch.gap.windows import MovingWindows, moving_windows
 from imr_torch.material import LIBRARY
 from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
+
+MOST = 4
+"""Effects that a ladder adds, at most."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,7 @@ class Parts:
         latent: the pressure that would explain it.
         windows: apparent parameters over the event.
         shrinkage: how far a named cause shrinks the gap on designs that its fit did not see.
+        ladder: how much of the gap effects close together, enough or not.
         next_design: what to shoot to tell the causes apart that are still possible.
 
     >>> from imr_torch.gap import Parts
@@ -44,6 +49,7 @@ class Parts:
     latent: LatentPressure | None = None
     windows: MovingWindows | None = None
     shrinkage: Shrinkage | None = None
+    ladder: Ladder | None = None
     next_design: NextDesign | None = None
 
 
@@ -52,6 +58,7 @@ def examine(
     simulator: Simulator,
     *,
     unseen: Sequence[Experiment] = (),
+    most: int = MOST,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Parts:
@@ -62,6 +69,7 @@ def examine(
         simulator: makes the bubbles, as in the diagnosis.
         unseen: experiments that the diagnosis did not see, on which the shrinkage is judged; without them the diagnosed
             ones are held out in turn.
+        most: effects that the ladder adds, at most.
         seed: of calibrations and searches.
         progress: called with one line per step.
 
@@ -82,32 +90,49 @@ def examine(
     if progress:
         progress("location, shrinkage, next design")
     here = (fit, line, batch, simulator)
+    ladder, shrunk = _closed(report, simulator, unseen, most, seed, progress)
     return Parts(
         onset=onset(*here, seed=child(seed, "onset"), directions=directions),
         by_experiment=by_experiment(*here, seed=child(seed, "experiments"), directions=directions),
         latent=latent_pressure(*here),
         windows=moving_windows(*here),
-        shrinkage=_shrunk(report, simulator, unseen, seed, progress),
+        shrinkage=shrunk,
+        ladder=ladder,
         next_design=_next(report, simulator, seed, progress),
     )
 
 
-def _shrunk(
-    report: GapReport, simulator: Simulator, unseen: Sequence[Experiment], seed: int, progress: Progress | None
-) -> Shrinkage | None:
-    """Shrinkage by the named cause beside its best rival; None without a cause, or without a design to judge it on."""
-    found = report.attribution
-    if found is None or report.verdict not in ("effect", "class"):
-        return None
-    rival = _best_rival(found)
-    effect, other = _hypothesis(report, found.winner), _hypothesis(report, rival) if rival else None
-    fits, seed = found.fits | {"none": report.null}, child(seed, "shrinkage")
-    if unseen:
-        batch = ExperimentBatch(tuple(unseen), report.batch.noise)
-        return shrinkage_unseen(effect, other, fits, batch, simulator, seed=seed)
-    if len(report.batch.experiments) < 2:
-        return None
-    return shrinkage(effect, other, report.batch, simulator, seed=seed, near=fits, progress=progress)
+def _closed(
+    report: GapReport,
+    simulator: Simulator,
+    unseen: Sequence[Experiment],
+    most: int,
+    seed: int,
+    progress: Progress | None,
+) -> tuple[Ladder, Shrinkage | None]:
+    """The ladder, and the reduction of the gap by the named cause beside its best rival, None without a cause.
+
+    Both are judged on the same held-out designs; without two designs the ladder says what is closed in sample only.
+    """
+    effects = tuple(LIBRARY[name] for name in report.directions)
+    inquiry, own = Inquiry(report.null.prior, effects, report.batch, simulator), child(seed, "shrinkage")
+    ladder = climb(inquiry, report.null, report.gap, report.fits, most=most, seed=child(seed, "ladder"), progress=progress)
+    if not unseen and len(report.batch.experiments) < 2:
+        return ladder, None
+    names, found = ["none"], report.attribution
+    rival = None
+    if found is not None and report.verdict in ("effect", "class"):
+        rival = _best_rival(found)
+        names += [found.winner, *([rival] if rival else [])]
+    fits = {name: report.fits[name] for name in names} | {rung.name: rung.fit for rung in ladder.rungs}
+    apart = ExperimentBatch(tuple(unseen), report.batch.noise) if unseen else None
+    held = hold_out(fits, report.batch, simulator, seed=own, unseen=apart, progress=progress)
+    ladder = with_held_out(ladder, held, seed=own)
+    if len(names) == 1:
+        return ladder, None
+    assert found is not None
+    other = _hypothesis(report, rival) if rival else None
+    return ladder, judge(_hypothesis(report, found.winner), other, fits, held, seed=own)
 
 
 def _next(report: GapReport, simulator: Simulator, seed: int, progress: Progress | None) -> NextDesign | None:

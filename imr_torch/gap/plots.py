@@ -4,6 +4,7 @@ Every ``plot_*`` draws into ``ax`` (a new figure when None) and returns the axes
 told apart by colour-blind readers, and what matters is also written.
 """
 
+import itertools
 import math
 
 import matplotlib
@@ -15,6 +16,7 @@ from matplotlib.axes import Axes
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.gap.ladder import Ladder, Rung
 from imr_torch.gap.latent import LatentPressure
 from imr_torch.gap.locate import PHASES, Onset, phase_clock, phase_name
 from imr_torch.gap.score import LEVEL, BlockResult, GapTest
@@ -201,6 +203,31 @@ def plot_shrinkage(found: Shrinkage, *, ax: Axes | None = None) -> Axes:
     ax.set_yticks(places, [f"{name} (rival)" if name == found.rival else name for name in names], fontsize=8)
     ax.set(xlabel="held-out gap removed (%)", ylim=(-0.5, len(names) - 0.5))
     return ax
+
+
+def plot_ladder(found: Ladder, *, ax: Axes | None = None) -> Axes:
+    """Misfit in R* from the base model to the last effect added, beside the noise, with what each rung closes held out."""
+    rungs = found.rungs
+    ax = _axes(ax, (5.8, 1.3 + 0.5 * len(rungs)))
+    places = list(range(len(rungs) - 1, -1, -1))
+    ax.barh(places, [rung.misfit for rung in rungs], color=[BASE, *[AFTER] * (len(rungs) - 1)], height=0.55)
+    ax.axvline(rungs[-1].noise, color=DATA, ls="--", lw=1, label="noise of the mean curves")
+    top = max(*(rung.misfit for rung in rungs), rungs[-1].noise)
+    for place, rung in zip(places, rungs, strict=True):
+        closed = "" if rung.closed is None else f", closes {rung.closed[1]:.2f} ({rung.closed[0]:.2f} to {rung.closed[2]:.2f})"
+        ax.text(rung.misfit + 0.01 * top, place, f" {rung.misfit:.4f}{closed}", va="center", fontsize=7)
+    names = ["base model", *("+ " + plain(_added(a, b), 40) for a, b in itertools.pairwise(rungs))]
+    ax.set_yticks(places, names, fontsize=8)
+    ax.set(xlabel="misfit in $R^*$ (root mean square, beyond noise)", xlim=(0.0, 2.3 * top), ylim=(-0.6, len(rungs) - 0.4))
+    ax.legend(frameon=False, fontsize=7, loc="lower right")
+    return ax
+
+
+def _added(before: Rung, after: Rung) -> str:
+    """What one rung has that the one before has not, and what it dropped."""
+    added = [name for name in after.effects if name not in before.effects]
+    dropped = [name for name in before.effects if name not in after.effects]
+    return ", ".join(added) + (f", without {', '.join(dropped)}" if dropped else "")
 
 
 def plot_shift(base: ModelFit, after: ModelFit, *, ax: Axes | None = None) -> Axes:

@@ -74,6 +74,7 @@ def sections(report: GapReport, parts: Parts | None = None) -> list[Section]:
         Section("Where does it lie?", _where(report, parts), folded=not _located(parts)),
         Section("Which effect causes it?", _causes(report), folded=nothing),
         Section("How far does it shrink?", _shrinkage(report, parts), folded=nothing or parts.shrinkage is None),
+        Section("How much do known effects close together?", _ladder(parts), folded=parts.ladder is None),
         Section("What does it do to the parameters?", _shift(report), folded=fit_of_cause(report) is None),
         Section("What to measure next?", _next(report, parts), folded=parts.next_design is None),
         Section("Not tested, and why", _not_tested(report, parts), folded=True),
@@ -276,6 +277,22 @@ def _shrinkage(report: GapReport, parts: Parts) -> tuple[str, ...]:
     return tuple(lines)
 
 
+def _ladder(parts: Parts) -> tuple[str, ...]:
+    if (ladder := parts.ladder) is None:
+        return ("Not computed, because no gap was found.",)
+    lines = [str(ladder)]
+    for rung in ladder.rungs:
+        name = " and ".join(rung.effects) or "the base model alone"
+        line = f"{name}: misfit {rung.misfit:.4f} in R* beside noise of {rung.noise:.4f}"
+        if rung.closed is not None:
+            low, middle, high = rung.closed
+            line += f", closes {middle:.2f} ({low:.2f} to {high:.2f}) of the held-out gap"
+        if rung.log_score is not None:
+            line += f", predicts held-out curves {rung.log_score[0]:+.1f} +- {rung.log_score[1]:.1f} nats better"
+        lines.append(f"{line}; adequacy {_p(rung.test.p_value)}{'' if rung.converged else '; a fit has not converged'}.")
+    return tuple(lines)
+
+
 def parameter_shift(report: GapReport) -> dict[str, dict[str, list[float]]] | None:
     """Parameter of the base model -> its [5 %, 50 %, 95 %] without and with the named cause, SI; None without a cause."""
     after = fit_of_cause(report)
@@ -294,6 +311,12 @@ def parameters(report: GapReport) -> dict[str, list[float]]:
     fit = fit_of_cause(report) or report.null
     quantiles = fit.posterior.quantile(torch.tensor(_LEVELS, dtype=torch.float64))
     return {name: quantiles[:, fit.prior.names.index(name)].tolist() for name in report.null.prior.names}
+
+
+def all_parameters(fit: ModelFit) -> dict[str, list[float]]:
+    """Every parameter of a fit, those of its effects included -> [5 %, 50 %, 95 %], SI."""
+    quantiles = fit.posterior.quantile(torch.tensor(_LEVELS, dtype=torch.float64))
+    return {name: quantiles[:, i].tolist() for i, name in enumerate(fit.prior.names)}
 
 
 def fit_of_cause(report: GapReport) -> ModelFit | None:

@@ -163,44 +163,30 @@ def shrinkage(
     hypotheses = [base, effect, *([rival] if rival else [])]
     _check(hypotheses, batch)
     fits = _near(hypotheses, near or {}, batch, simulator, seed, progress)
-    return _judge(effect, rival, fits, _hold_out(fits, batch, simulator, seed, progress), seed)
+    return judge(effect, rival, fits, hold_out(fits, batch, simulator, seed=seed, progress=progress), seed=seed)
 
 
-def shrinkage_unseen(
-    effect: Hypothesis,
-    rival: Hypothesis | None,
-    fits: Mapping[str, ModelFit],
-    unseen: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: int,
-) -> Shrinkage:
-    """Judge an effect, its base and a rival on designs that were held out before anything was fitted.
-
-    Args:
-        effect: the base model with the effect (or effects) to judge.
-        rival: the best hypothesis of another class; none to leave it out.
-        fits: name of each hypothesis (and ``"none"``) -> fit to the other designs.
-        unseen: the designs that no fit saw.
-        simulator: makes the bubbles.
-        seed: of the bootstrap.
-    """
-    names = [_NONE, effect.name, *([rival.name] if rival else [])]
-    designs = range(len(unseen.experiments))
-    held = {name: [held_out(fits[name], _part(unseen, [i]), simulator) for i in designs] for name in names}
-    return _judge(effect, rival, fits, held, seed)
-
-
-def _judge(
+def judge(
     effect: Hypothesis,
     rival: Hypothesis | None,
     fits: Mapping[str, ModelFit],
     held: Mapping[str, Sequence[HeldOut]],
+    *,
     seed: int,
 ) -> Shrinkage:
-    """Compare held-out predictions of the base, the effect and the rival."""
-    gaps, intervals = _bootstrap(held, seed)
-    comparisons = tuple(_compare(held, effect.name, name) for name in held if name != effect.name)
+    """Compare held-out predictions of the base, the effect and the rival.
+
+    Args:
+        effect: the base model with the effect (or effects) to judge.
+        rival: the best hypothesis of another class; none to leave it out.
+        fits: name of each hypothesis (and ``"none"``) -> fit to all designs.
+        held: the same names -> held-out predictions (:func:`hold_out`); of other names too, which are passed over.
+        seed: of the bootstrap.
+    """
+    names = [_NONE, effect.name, *([rival.name] if rival else [])]
+    held = {name: held[name] for name in names}
+    gaps, intervals = reductions(held, seed)
+    comparisons = tuple(compare(held, effect.name, name) for name in names if name != effect.name)
     frames = sum(len(d.residual) for d in held[effect.name])
     return Shrinkage(
         gap=gaps,
@@ -249,19 +235,37 @@ def _near(
     return fits
 
 
-def _hold_out(
-    fits: Mapping[str, ModelFit], batch: ExperimentBatch, simulator: Simulator, seed: int, progress: Progress | None
+def hold_out(
+    fits: Mapping[str, ModelFit],
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+    unseen: ExperimentBatch | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, list[HeldOut]]:
-    """Held-out predictions of every design by every hypothesis, in the order of the designs."""
+    """Predictions of designs by hypotheses whose fits did not see them, in the order of the designs.
+
+    Args:
+        fits: name of each hypothesis -> fit to all designs of the batch, near which it is trained on fewer.
+        batch: the data, two designs or more.
+        simulator: makes the bubbles.
+        seed: of the starts.
+        unseen: designs that were held out before anything was fitted; those of the batch are then not held out.
+        progress: called with one line per step.
+    """
+    if unseen is not None:
+        parts = [_part(unseen, [i]) for i in range(len(unseen.experiments))]
+        return {name: [held_out(fit, part, simulator) for part in parts] for name, fit in fits.items()}
     count = len(batch.experiments)
-    parts: dict[tuple[str, int], HeldOut] = {}
+    found: dict[tuple[str, int], HeldOut] = {}
     for number, out in enumerate(default_folds(count)):
         training = [i for i in range(count) if i not in out]
         trained = _train(fits, training, batch, simulator, child(seed, "fold", number))
-        parts |= {(name, i): held_out(fit, _part(batch, [i]), simulator) for name, fit in trained.items() for i in out}
+        found |= {(name, i): held_out(fit, _part(batch, [i]), simulator) for name, fit in trained.items() for i in out}
         if progress:
             progress(f"shrinkage: judged on {', '.join(batch.experiments[i].label for i in out)}")
-    return {name: [parts[name, i] for i in range(count)] for name in fits}
+    return {name: [found[name, i] for i in range(count)] for name in fits}
 
 
 def _part(batch: ExperimentBatch, chosen: Sequence[int]) -> ExperimentBatch:
@@ -317,7 +321,7 @@ def held_out(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Hel
     return HeldOut(residual, slopes[:, size:], density, square, counts, sound)
 
 
-def _bootstrap(
+def reductions(
     held: Mapping[str, Sequence[HeldOut]], seed: int
 ) -> tuple[dict[str, float], dict[str, tuple[float, float, float]]]:
     """``D`` of each hypothesis, and the 90 % interval of ``S`` of all but the base.
@@ -369,7 +373,7 @@ def _expected(design: HeldOut) -> float:
     return float((_less_nuisances(design, unit).square() / design.counts).sum())
 
 
-def _compare(held: Mapping[str, Sequence[HeldOut]], effect: str, other: str) -> Comparison:
+def compare(held: Mapping[str, Sequence[HeldOut]], effect: str, other: str) -> Comparison:
     """Paired difference over all held-out frames."""
     pairs = zip(held[effect], held[other], strict=True)
     difference = torch.cat([a.log_density - b.log_density for a, b in pairs])

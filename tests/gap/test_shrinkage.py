@@ -3,7 +3,7 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis
-from imr_torch.gap.shrinkage import Comparison, HeldOut, Shrinkage, _bootstrap, _shift, held_out, shrinkage
+from imr_torch.gap.shrinkage import Comparison, HeldOut, Shrinkage, _shift, held_out, reductions, shrinkage
 from imr_torch.material import LIBRARY
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
@@ -69,14 +69,14 @@ def test_that_the_interval_covers_the_true_shrinkage_as_often_as_it_says() -> No
     inside = 0
     for seed in range(100):
         held = {name: [design(b, 5.0, 3 * seed + k) for k in range(2)] for name, b in (("none", 0.5), ("effect", 0.25))}
-        low, _, high = _bootstrap(held, seed)[1]["effect"]
+        low, _, high = reductions(held, seed)[1]["effect"]
         inside += low <= 0.75 <= high
     assert 0.82 <= inside / 100 <= 0.98
 
 
 def test_that_the_gap_is_the_squared_bias_whatever_the_repeats_and_the_nuisances() -> None:
     for repeats in (1.0, 20.0, torch.arange(1, 81).clamp_max(20)):  # the last: repeats with gaps
-        gaps = [_bootstrap({"none": [design(0.3, repeats, seed)]}, 0)[0]["none"] for seed in range(60)]
+        gaps = [reductions({"none": [design(0.3, repeats, seed)]}, 0)[0]["none"] for seed in range(60)]
         assert sum(gaps) / 60 == pytest.approx(0.09, abs=0.05)
 
 

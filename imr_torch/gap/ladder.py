@@ -1,0 +1,274 @@
+"""How much of a gap known effects close together: effects added one after the other, whether or not they are enough.
+
+The verdict names a cause only if nothing is left unexplained. Measured curves nearly always leave something, and a laboratory
+still asks which effects close how much of it, and what remains. Each rung adds the effect of largest evidence beside those
+chosen, and drops those that it makes superfluous. In the first two steps the fits of the attribution serve; later ones fit the
+effects that a score test at the rung before ranks first. A rung is a description of the data, not a cause.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit, SearchOptions
+from imr_torch.gap.attribute import ADEQUATE, Adequacy, Inquiry, adequacy_test
+from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence
+from imr_torch.gap.locate import PHASES, phase_clock, phase_name
+from imr_torch.gap.score import GapTest
+from imr_torch.gap.shrinkage import HeldOut, compare, reductions
+from imr_torch.material import PARAMETERS, Effect
+from imr_torch.observe import ExperimentBatch
+from imr_torch.random import child
+from imr_torch.types import Progress
+
+_FURTHER = 3.0  # nats that an effect must explain to be added or kept
+_CANDIDATES = 6  # effects that are fitted in a later step
+_FIT = SearchOptions(starts=2, iterations=30, drop_behind=6.0, basin_rounds=0, polish=False)
+_LESS = 0.7  # second start of an effect over its first
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a fit leaves in one phase of the bubble's life, root mean square over all mean curves, in R*.
+
+    Args:
+        phase: one of :data:`imr_torch.gap.locate.PHASES`.
+        misfit: of the residual beyond its noise; 0 if none.
+        noise: of the mean curves.
+        share: of the squared misfit of all phases.
+    """
+
+    phase: str
+    misfit: float
+    noise: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Rung:
+    """The base model with some effects, and what it leaves.
+
+    Args:
+        effects: those that are freed; none on the lowest rung.
+        fit: with its certificate.
+        gained: log evidence over the rung before, nats.
+        test: the gap test at this fit.
+        left: by phase, where frames exist.
+        closed: lower, median and upper share of the held-out squared bias that is gone, 90 % interval; None where no design
+            could be held out.
+        log_score: held-out log predictive density over the base model, nats, and its standard error; None likewise.
+        trained: whether the fits of the held-out designs have converged.
+    """
+
+    effects: tuple[str, ...]
+    fit: ModelFit
+    gained: float
+    test: GapTest
+    left: tuple[Left, ...]
+    closed: tuple[float, float, float] | None = None
+    log_score: tuple[float, float] | None = None
+    trained: bool = True
+
+    @property
+    def name(self) -> str:
+        """``"none"``, or the effects joined by ``+``."""
+        return "+".join(self.effects) or "none"
+
+    @property
+    def adequate(self) -> bool:
+        """Whether the gap test leaves nothing to explain."""
+        return self.test.p_value >= ADEQUATE
+
+    @property
+    def misfit(self) -> float:
+        """Root mean square residual beyond noise, R*."""
+        return self.test.bias_radius
+
+    @property
+    def noise(self) -> float:
+        """Root mean square noise of the mean curves, R*, each phase by its own number of frames."""
+        return math.sqrt(sum(part.noise**2 for part in self.left) / len(self.left))
+
+    @property
+    def converged(self) -> bool:
+        """Whether its fit, and those to the training designs, have converged."""
+        return self.fit.certificate.converged and self.trained
+
+    @property
+    def worst(self) -> Left:
+        """The phase that holds most of what is left."""
+        return max(self.left, key=lambda part: part.share)
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """The rungs from the base model to the last effect that was added.
+
+    Args:
+        rungs: the base model first.
+    """
+
+    rungs: tuple[Rung, ...]
+
+    @property
+    def best(self) -> Rung:
+        """The rung that predicts held-out designs best; the last one where none was held out."""
+        scores = [0.0 if rung.log_score is None else rung.log_score[0] for rung in self.rungs]
+        return self.rungs[-1] if self.rungs[-1].log_score is None else self.rungs[scores.index(max(scores))]
+
+    def __str__(self) -> str:
+        """One sentence on how much the best rung closes, and what is left where."""
+        last = self.best
+        if not last.effects:
+            return "No effect of the library closes any of the gap."
+        verb = "closes" if len(last.effects) == 1 else "close"
+        if last.closed is None:
+            share = f"lower the misfit in R* from {self.rungs[0].misfit:.4f} to {last.misfit:.4f}"
+            share = share if verb == "close" else f"lowers{share[5:]}"
+        else:
+            low, middle, high = last.closed
+            share = f"{verb} {middle:.2f} ({low:.2f} to {high:.2f}) of the gap on designs that the fits did not see"
+        *others, end = last.effects
+        named = f"{', '.join(others)} and {end}" if others else end
+        if last.adequate:
+            return f"{named} {share}; what is left is noise."
+        part = last.worst
+        return (
+            f"{named} {share}; what is left lies most in the phase {part.phase!r}, {part.misfit:.4f} in R* beside noise of "
+            f"{part.noise:.4f}, and no further effect of the library was found to explain it."
+        )
+
+
+def climb(
+    inquiry: Inquiry,
+    null: ModelFit,
+    test: GapTest,
+    known: Mapping[str, ModelFit],
+    *,
+    most: int = 4,
+    seed: int,
+    progress: Progress | None = None,
+) -> Ladder:
+    """Add effects one after the other until the fit is adequate, nothing more is gained, or there are ``most``.
+
+    Args:
+        inquiry: base model, effects and data.
+        null: the base model's fit.
+        test: the gap test there.
+        known: hypothesis -> fit, those of an attribution; what is missing is fitted.
+        most: effects at most.
+        seed: of fits and tests.
+        progress: called with one line per step.
+    """
+    batch = inquiry.batch
+    fits = {frozenset(name.split("+")) - {"none"}: fit for name, fit in known.items()}
+    chosen: tuple[Effect, ...] = ()
+    rungs, left, seen = [Rung((), null, 0.0, test, left_over(null, batch))], None, {frozenset[str]()}
+    while len(chosen) < most and not rungs[-1].adequate and inquiry.beside(chosen):
+        own, before = child(seed, "rung", len(rungs)), rungs[-1]
+        added = _best_addition(inquiry, chosen, before.fit, left, fits, seed=own)
+        if added is None or laplace_evidence(added[1]) < laplace_evidence(before.fit) + _FURTHER:
+            break
+        chosen, fit = _without_superfluous(inquiry, *added, seed=own)
+        names = frozenset(effect.name for effect in chosen)
+        if names in seen:
+            break
+        seen.add(names)
+        left = adequacy_test(fit, inquiry.effects, batch, inquiry.simulator, seed=child(own, "adequacy"))
+        gained = laplace_evidence(fit) - laplace_evidence(before.fit)
+        rungs.append(Rung(tuple(e.name for e in chosen), fit, gained, left.test, left_over(fit, batch)))
+        if progress:
+            progress(f"ladder: {rungs[-1].name}, misfit {rungs[-1].misfit:.4f}")
+    return Ladder(tuple(rungs))
+
+
+def with_held_out(ladder: Ladder, held: Mapping[str, Sequence[HeldOut]], *, seed: int) -> Ladder:
+    """A ladder with the share of the gap that each rung closes on designs that its fits did not see.
+
+    Args:
+        ladder: as climbed.
+        held: name of each rung -> held-out predictions (:func:`imr_torch.gap.shrinkage.hold_out`).
+        seed: of the bootstrap.
+    """
+    own = {rung.name: held[rung.name] for rung in ladder.rungs}
+    _, closed = reductions(own, seed)
+    rungs = [ladder.rungs[0]]
+    for rung in ladder.rungs[1:]:
+        score = compare(own, rung.name, "none")
+        trained = all(design.converged for name in ("none", rung.name) for design in own[name])
+        rungs.append(
+            replace(rung, closed=closed[rung.name], log_score=(score.difference, score.standard_error), trained=trained)
+        )
+    return Ladder(tuple(rungs))
+
+
+def left_over(fit: ModelFit, batch: ExperimentBatch) -> tuple[Left, ...]:
+    """The residual of a fit beyond its noise, by phase of the bubble's life."""
+    clock = phase_clock(batch.times, fit.prediction, batch.mask)
+    phases = torch.tensor([[PHASES.index(phase_name(c)) for c in row] for row in clock.tolist()])
+    square = torch.where(batch.mask, batch.mean - fit.prediction, 0.0).square()
+    noise = torch.where(batch.mask, batch.sd(fit.prediction) / batch.counts.sqrt().clamp_min(1.0), 0.0).square()
+    sums: list[tuple[str, float, float, float]] = []
+    for number, phase in enumerate(PHASES):
+        inside = (phases == number) & batch.mask
+        if count := int(inside.sum()):
+            excess = float((square - noise)[inside].sum().clamp_min(0.0))
+            sums.append((phase, excess, math.sqrt(excess / count), math.sqrt(_mean(noise, inside))))
+    total = max(sum(excess for _, excess, _, _ in sums), 1e-300)
+    return tuple(Left(phase, misfit, sd, excess / total) for phase, excess, misfit, sd in sums)
+
+
+def _mean(values: Tensor, inside: Tensor) -> float:
+    return float(values[inside].mean())
+
+
+def _best_addition(
+    inquiry: Inquiry,
+    chosen: tuple[Effect, ...],
+    fit: ModelFit,
+    left: Adequacy | None,
+    fits: dict[frozenset[str], ModelFit],
+    *,
+    seed: int,
+) -> tuple[tuple[Effect, ...], ModelFit] | None:
+    """The effects with one more, that of largest evidence, and their fit; None if none can be fitted."""
+    have = frozenset(effect.name for effect in chosen)
+    beside = inquiry.beside(chosen)
+    if sum(have | {effect.name} in fits for effect in beside) <= _CANDIDATES:  # no attribution was made of these
+        ranked = [] if left is None else [block.name for block in left.test.blocks]
+        order = sorted(beside, key=lambda e: ranked.index(e.name) if e.name in ranked else len(ranked))
+        tried = [Hypothesis(inquiry.base, (*chosen, effect)) for effect in order[:_CANDIDATES]]
+        starts = {} if left is None else left.starts
+        found = fit_hypotheses(tried, fit, inquiry.batch, inquiry.simulator, seed=seed, starts=starts, options=_FIT)
+        fits |= {frozenset(name.split("+")): own for name, own in found.items()}
+    known = {effect: fits[have | {effect.name}] for effect in beside if have | {effect.name} in fits}
+    if not known:
+        return None
+    best = max(known, key=lambda effect: laplace_evidence(known[effect]))
+    return (*chosen, best), _finished(known[best], inquiry, seed)
+
+
+def _without_superfluous(
+    inquiry: Inquiry, chosen: tuple[Effect, ...], fit: ModelFit, *, seed: int
+) -> tuple[tuple[Effect, ...], ModelFit]:
+    """Effects less those without which the evidence is nearly as large, the least needed first; never the last one."""
+    while len(chosen) > 1:
+        last, tried = chosen[-1], [Hypothesis(inquiry.base, tuple(e for e in chosen if e is not out)) for out in chosen[:-1]]
+        first, *shape = fit.parameters(fit.mean)[PARAMETERS.index(last.names)].tolist()
+        starts = {last.name: [(first, *shape), (_LESS * first, *shape)]}
+        found = fit_hypotheses(tried, fit, inquiry.batch, inquiry.simulator, seed=seed, starts=starts, options=_FIT)
+        best = max(tried, key=lambda h: laplace_evidence(found[h.name]))
+        if laplace_evidence(found[best.name]) < laplace_evidence(fit) - _FURTHER:
+            break
+        chosen, fit = best.effects, _finished(found[best.name], inquiry, seed)
+    return chosen, fit
+
+
+def _finished(fit: ModelFit, inquiry: Inquiry, seed: int) -> ModelFit:
+    """A fit taken to its minimum if it is not there."""
+    if fit.certificate.converged:
+        return fit
+    return finish(fit, inquiry.batch, inquiry.simulator, seed=child(seed, "finish"))
