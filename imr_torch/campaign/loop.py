@@ -149,7 +149,7 @@ class Campaign:
                 self._replay_one(event, known)
             except ImrError as error:
                 raise type(error)(f"{self.journal.path}, line {line}: {error}") from None
-            except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            except (KeyError, IndexError, TypeError, ValueError, AttributeError, RuntimeError) as error:
                 raise InputDataError(
                     f"{self.journal.path}, line {line}: event {event['event']!r} cannot be read "
                     f"({type(error).__name__}: {error}). Restore the journal from a copy."

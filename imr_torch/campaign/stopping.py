@@ -277,4 +277,7 @@ def _one(text: str) -> StoppingRule:
         rule, numbers = None, []
     if rule is None or len(numbers) > (3 if name == "budget" else 1):
         raise InputDataError(f"{text!r} is not a stopping rule; expected NAME=NUMBER with NAME of {', '.join(_RULES)}.")
-    return rule(*numbers)
+    try:
+        return rule(*numbers)
+    except InputDataError as error:
+        raise InputDataError(f"{text!r} is not a stopping rule: {error}") from None

@@ -52,9 +52,12 @@ from imr_torch.cli.common import (
     add_physics_argument,
     add_prior_arguments,
     add_workers_argument,
+    check_counts,
+    layout_of,
     parse_pair,
     prior_of,
     progress_of,
+    rest_radius_of,
     save_figure,
     simulator_of,
     write_result,
@@ -63,7 +66,7 @@ from imr_torch.cli.design import add_space_arguments, plan_of, space_of
 from imr_torch.errors import InputDataError
 from imr_torch.files import remove_temporaries
 from imr_torch.material import PARAMETERS, ReferenceCase, reference_case
-from imr_torch.observe import Experiment, Layout, SimulatedLaboratory, load_traces, prepare
+from imr_torch.observe import Experiment, SimulatedLaboratory, load_traces, prepare
 from imr_torch.plot import plot_experiment, plot_information, plot_parameter, plot_probabilities
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
@@ -124,9 +127,10 @@ def run(args: argparse.Namespace) -> None:
     """
     if args.tell and args.case:
         raise InputDataError("--tell gives real experiments and --case simulates them; give one of the two.")
-    for option in ("designs", "q"):
-        if getattr(args, option) < 1:
-            raise InputDataError(f"--{option} is {getattr(args, option)}; expected at least 1.")
+    check_counts(args, "designs", "q", "evaluations", "repeats")
+    for option in ("layout", "rest_radius"):
+        if getattr(args, option) is not None and not args.tell:
+            raise InputDataError(f"--{option.replace('_', '-')} is about told files and has no effect without --tell.")
     simulator, settings = simulator_of(args), settings_of(args)
     started = time.process_time()
     case = reference_case(args.case) if args.case else None
@@ -210,10 +214,10 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> None:
     """Learn from told files, then say what to shoot next."""
     progress, experiments = progress_of(args), ()
     if args.tell:
-        traces = load_traces(*args.tell, layout=Layout.from_text(args.layout) if args.layout else None)
+        traces = load_traces(*args.tell, layout=layout_of(args))
         print(traces.report())
         surroundings = campaign.simulator.conditions.surroundings
-        prepared = prepare(traces, surroundings, rest_radius=parse_pair(args.rest_radius, "--rest-radius"))
+        prepared = prepare(traces, surroundings, rest_radius=rest_radius_of(args))
         print(prepared.report())
         experiments = prepared.experiments
     if args.forget is not None:

@@ -29,10 +29,11 @@ from imr_torch.cli.common import (
     add_prior_arguments,
     add_window_arguments,
     header_of,
+    layout_of,
     names_of,
-    parse_pair,
     prior_of,
     progress_of,
+    rest_radius_of,
     simulator_of,
     write_result,
 )
@@ -42,7 +43,7 @@ from imr_torch.errors import ConvergenceError, ImrError, InputDataError
 from imr_torch.files import write_atomically
 from imr_torch.html import write
 from imr_torch.material import ModelBelief
-from imr_torch.observe import Layout, TraceSet, load_traces, prepare
+from imr_torch.observe import TraceSet, load_traces, prepare
 from imr_torch.results import characterization_document, characterization_page, draw_figures
 
 NAME = "characterize"
@@ -86,7 +87,7 @@ def run(args: argparse.Namespace) -> None:
         raise InputDataError("--scores predicts curves from others, and --each fits every one alone; leave one of them out.")
     if args.each and args.html:
         raise InputDataError("--html shows one gel, and --each fits every curve by itself; leave one of them out.")
-    traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
+    traces = load_traces(*args.files, layout=layout_of(args))
     if args.experiments is not None:
         traces = traces.select(names_of(args.experiments, "--experiments"))
     print(traces.report())
@@ -130,7 +131,7 @@ def _each(traces: TraceSet, args: argparse.Namespace) -> None:
 def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -> tuple[dict[str, Any], str, bool]:
     """Fit some curves together and print the result: its document, the report, and whether all fits have converged."""
     simulator, rounds = simulator_of(args), NOISE_ROUNDS if args.noise == "estimated" else 0
-    prior, rest_radius = prior_of(args), parse_pair(args.rest_radius, "--rest-radius")
+    prior, rest_radius = prior_of(args), rest_radius_of(args)
     prepared = prepare(traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius)
     print(prepared.report())
     result = characterize(

@@ -18,10 +18,11 @@ from imr_torch.cli.common import (
     add_physics_argument,
     add_workers_argument,
     header_of,
+    layout_of,
     names_of,
-    parse_pair,
     parse_values,
     progress_of,
+    rest_radius_of,
     simulator_of,
     write_result,
 )
@@ -29,7 +30,7 @@ from imr_torch.cli.progress import DIAGNOSE
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import Effect, describe, diagnose, examine, library, load_set, noise_of_traces, to_json, write_page
 from imr_torch.material import MATERIALS, wide_prior
-from imr_torch.observe import Experiment, Layout, Noise, load_traces, prepare
+from imr_torch.observe import Experiment, Noise, load_traces, prepare
 from imr_torch.results.page import footer, provenance_table
 from imr_torch.simulate import Simulator
 
@@ -111,9 +112,9 @@ def _experiments(args: argparse.Namespace, simulator: Simulator) -> list[Experim
     """Sets or curves as experiments; what was read and left out is printed."""
     sets = [name for name in args.files if _is_set(name)]
     if not sets:
-        traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
+        traces = load_traces(*args.files, layout=layout_of(args))
         print(traces.report() + "\n")
-        rest = parse_pair(args.rest_radius, "--rest-radius")
+        rest = rest_radius_of(args)
         prepared = prepare(
             traces,
             simulator.conditions.surroundings,

@@ -32,6 +32,7 @@ from imr_torch.plot import (
     plot_probabilities,
     with_lengths,
 )
+from imr_torch.results.whole import check_characterization
 
 _FARTHER = 2.0  # fitted windows that a figure shows of a record
 _OTHERS = 0.02  # probability from which on the curve of another model is drawn
@@ -75,7 +76,8 @@ def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
     >>> [figure.name for figure in draw_figures(header("simulate") | curve)]
     ['radius']
     """
-    if "curves" in document and "belief" in document:
+    if document.get("schema", {}).get("name") == "imr_torch characterize" or ("curves" in document and "belief" in document):
+        check_characterization(document)
         return list(_of_characterization(document))
     if "curves" in document and "verdict" in document:
         return list(_of_diagnosis(document))
