@@ -369,12 +369,12 @@ def sidecars() -> Iterator[Case]:
         "exposure negative": beside() | {"exposure_s": -1e-7},
         "exposure infinite": beside() | {"exposure_s": INF},
         "exposure a text": beside() | {"exposure_s": "200 ns"},
-        "exposure longer than a frame": beside() | {"exposure_s": 1.0},
     }.items():
         yield case(name, document)
     for name in ("Rmax_m", "Rinf_m", "t_Rmax_s", "Rinf_sd_m", "Rmax_sd_m", "Rinf_tail_std_m"):
         for value in ("2.5e-4", True, [2.5e-4], {"value": 1}, NAN, INF):
             yield case(f"{name} {value!r}", beside(**{name: value}))
+    yield case("exposure longer than a frame", beside() | {"exposure_s": 1.0}, about="exposure_s")
     yield case("frame rate another", beside() | {"frame_rate_fps": 2.5e5}, warned="frame_rate_fps")
     for value in ("false", 1, 0, [], "yes"):
         yield case(f"Rinf_settled {value!r}", beside(Rinf_settled=value))

@@ -270,6 +270,7 @@ class Journal:
             "label": experiment.label,
             "design": list(experiment.design),
             "nuisance": vars(experiment.nuisance),
+            "exposure": experiment.exposure,
             "curve": curve_hash(experiment),
             "file": path.name,
             "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
@@ -289,7 +290,8 @@ class Journal:
         with np.load(path, allow_pickle=False) as arrays:
             times, radius = torch.from_numpy(arrays["times"]), torch.from_numpy(arrays["radius"])
         weber, rest = record["design"]
-        experiment = Experiment(record["label"], (weber, rest), times, radius, Nuisance(**record["nuisance"]))
+        nuisance, exposure = Nuisance(**record["nuisance"]), record.get("exposure", 0.0)
+        experiment = Experiment(record["label"], (weber, rest), times, radius, nuisance, exposure)
         if curve_hash(experiment) != record["curve"]:
             raise InputDataError(f"{path}: holds another curve than the journal says; restore both from a copy.")
         return experiment

@@ -12,6 +12,7 @@ library may. No cause is named without converged fits, nor where no effect of th
 import argparse
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from imr_torch.cli.common import (
@@ -134,11 +135,7 @@ def _experiments(args: argparse.Namespace, simulator: Simulator) -> list[Experim
     loaded = {name: load_set(name, surroundings=surroundings) for name in sets}
     if len(loaded) == 1:
         return next(iter(loaded.values()))
-    return [
-        Experiment(f"{Path(name).stem} {e.label}", e.design, e.times, e.radius, e.nuisance)
-        for name, experiments in loaded.items()
-        for e in experiments
-    ]
+    return [replace(e, label=f"{Path(name).stem} {e.label}") for name, experiments in loaded.items() for e in experiments]
 
 
 def _is_set(name: str) -> bool:

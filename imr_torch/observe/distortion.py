@@ -93,7 +93,7 @@ class Distortion:
     Args:
         shifts: ``batch_shape x 1 x 3`` tensor, common to all experiments, as nuisances are to one.
         clock: see ``CLOCK``.
-        blur: see ``EXPOSURE_BLUR``.
+        blur: see ``EXPOSURE_BLUR``; ``batch_shape x E`` where the exposure of each experiment is known.
         refraction: see ``REFRACTION``.
     """
 
@@ -103,14 +103,17 @@ class Distortion:
     refraction: Tensor
 
     @classmethod
-    def of(cls, parameters: Tensor) -> "Distortion | None":
-        """The errors in ``batch_shape x p`` parameters; None where every one is neutral."""
+    def of(cls, parameters: Tensor, exposures: Tensor | None = None) -> "Distortion | None":
+        """The errors in ``batch_shape x p`` parameters, known ``exposures`` (``E``) added to the blur; None if all are 0."""
         names = (*_GEOMETRY, "clock", "exposure_blur", "refraction")
         columns = parameters[..., PARAMETERS.index(names)]
-        if not bool((columns != 0.0).any()):
+        known = exposures is not None and bool((exposures != 0.0).any())
+        if not known and not bool((columns != 0.0).any()):
             return None
-        clock, blur, refraction = columns[..., 3:].unbind(-1)
-        return cls(columns[..., None, :3], clock[..., None], blur[..., None], refraction[..., None])
+        clock, blur, refraction = (x[..., None] for x in columns[..., 3:].unbind(-1))
+        if exposures is not None and known:
+            blur = blur + exposures.to(blur)
+        return cls(columns[..., None, :3], clock, blur, refraction)
 
     def placed(self, designs: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:
         """True designs (``... x E x 2``) and times (``... x E x T``) of a clock that is wrong."""

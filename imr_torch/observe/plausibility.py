@@ -40,6 +40,7 @@ REST_RADIUS = Range((0.02, 0.95), (0.07, 0.65))
 FIRST_COLLAPSE = Range((0.25, 3.0), (0.7, 1.4))
 LARGEST_RADIUS = Range((0.7, 1.1), (0.85, 1.05))
 STATED_OVER_SEEN = Range((0.75, 1.35), (0.95, 1.1))
+_LONGEST_EXPOSURE = 1.05  # of the time between frames
 _LEAST_CHANGE = 0.01  # of the largest radius
 _LATEST_MAXIMUM = 0.45  # t* of the largest frame
 _SHORTEST, _LONGEST = 0.1, 3.0  # t* that a record without a collapse may last
@@ -122,6 +123,12 @@ def _check_stated(where: str, trace: RadiusTrace, landmarks: Landmarks, surround
                 f"{where}: {name} is {1e6 * sd:.4g} um, and Rmax {1e6 * top:.4g} um; expected a standard deviation in metres, "
                 f"{1e6 * largest:.4g} um at most."
             )
+    apart = float(trace.time_s.diff().median())
+    if given.exposure_s is not None and given.exposure_s > _LONGEST_EXPOSURE * apart:
+        raise InputDataError(
+            f"{where}: exposure_s is {1e6 * given.exposure_s:.4g} us, and frames are {1e6 * apart:.4g} us apart; expected the "
+            "exposure of one frame in seconds, no longer than that. Leave it out if it is not known."
+        )
     stated, scale = given.time_of_max_s, float(surroundings.time_scale(top))
     if stated is not None and abs(stated - landmarks.time_of_max_s) > _LATEST_MAXIMUM * scale:
         raise InputDataError(

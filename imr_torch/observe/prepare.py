@@ -50,10 +50,11 @@ class Prepared:
             name, (weber, rest) = experiment.label, experiment.design
             marks, (count, before, after) = self.landmarks[name], self.frames[name]
             found, first = "assumed" if self.assumed else marks.rest_method, self.first_collapses[name]
+            blur = f", averaged over exposures of t* = {experiment.exposure:.3g}" * (experiment.exposure > 0.0)
             collapse = "no collapse in the record" if math.isinf(first) else f"first collapse at t* = {first:.2f}"
             lines.append(
                 f"  {name}: Rmax {1e6 * marks.max_radius_m:.4g} um ({marks.max_method}), R_inf/Rmax {rest:.3f} ({found}), "
-                f"We {weber:.0f}, {collapse}; {len(experiment.times)} of {count} frames are fitted "
+                f"We {weber:.0f}, {collapse}{blur}; {len(experiment.times)} of {count} frames are fitted "
                 f"({before} before the maximum, {after} after the window)"
             )
         lines.insert(0, f"Curves as they are fitted (an empty cavity collapses at t* = {RAYLEIGH_TIME}):")

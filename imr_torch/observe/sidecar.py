@@ -7,7 +7,8 @@ Fields, all optional, at the top for all curves, or in an entry of ``experiments
      "experiments": [{"experiment_id": "shot_1", "Rmax_m": 2.5e-4, "Rmax_sd_m": 1e-6, "t_Rmax_s": 0.0,
                       "Rinf_m": 4.3e-5, "Rinf_sd_m": 4e-7, "Rinf_settled": true}]}
 
-``Rinf_sd_m`` states R_inf with its standard deviation; ``Rinf_tail_std_m`` is the scatter of the end of the record.
+``exposure_s`` is how long a frame is exposed: predicted radii are averaged over it. ``Rinf_sd_m`` states R_inf with its
+standard deviation; ``Rinf_tail_std_m`` is the scatter of the end of the record.
 ``material`` is read as ``medium``. Other fields are left alone. A file with one curve may have its values at the top.
 """
 

@@ -111,6 +111,9 @@ def _assumed(document: Mapping[str, Any], best: str) -> Table:
         ),
         ("Rmax, time zero, R_inf", "measured from each curve, and uncertain in the fit"),
     ]
+    if blurred := [e for e in document["experiments"] if e.get("exposure_t_star")]:
+        longest = max(e["exposure_t_star"] for e in blurred)
+        rows.append(("Exposure", f"as stated for {len(blurred)} curve(s): radii are averaged over up to t* = {longest:.3g}"))
     known = next((part.get("known") for part in document["belief"]["models"] if part.get("model") == best), None)
     if known:
         rows.append(("Known before", ", ".join(f"{name} = {value:g} {PARAMETERS[name].unit}" for name, value in known.items())))
