@@ -133,7 +133,7 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -
     simulator, rounds = simulator_of(args), NOISE_ROUNDS if args.noise == "estimated" else 0
     prior, rest_radius = prior_of(args), rest_radius_of(args)
     prepared = prepare(traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius)
-    print(prepared.report())
+    print(prepared.report(frames=False))
     result = characterize(
         traces,
         prior=prior,
@@ -151,7 +151,7 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -
     said = result.report(command)
     print("\n" + said)
     document = characterization_document(result, traces, simulator, command=command, seed=args.seed)
-    report = "\n\n".join((traces.report(), prepared.report(), said)) + "\n"
+    report = "\n\n".join((traces.report(), prepared.report(frames=False), said)) + "\n"
     return document, report, result.assimilation.converged
 
 

@@ -83,10 +83,11 @@ def run(args: argparse.Namespace) -> None:
     report = diagnose(fitted, base=base, effects=effects, noise=noise, simulator=simulator, seed=args.seed, progress=progress)
     parts = examine(report, simulator, unseen=held_out, seed=args.seed, progress=progress)
     print(describe(report, parts))
-    write_result(args, to_json(report, parts) | {"seconds": time.perf_counter() - started})
+    write_result(args, to_json(report, parts, simulator=simulator) | {"seconds": time.perf_counter() - started})
     if args.html:
         about = header_of(args)
-        page = write_page(report, args.html, parts, facts=provenance_table(about).rows, footer=footer(about))
+        facts, said = provenance_table(about).rows, footer(about)
+        page = write_page(report, args.html, parts, facts=facts, footer=said, simulator=simulator)
         print(f"wrote {page}")
     if not report.converged:
         raise ConvergenceError("a fit that the verdict rests on has not converged (see above).")

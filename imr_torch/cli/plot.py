@@ -3,21 +3,25 @@
   imr-torch plot result/characterize.json
   imr-torch plot result/characterize.json --out paper --format pdf,svg --html gel.html
 
-Nothing is computed again. Results of characterize, diagnose, design and simulate hold what their figures need. Figures go
-beside the JSON file, or into --out.
+Nothing is computed again. Results of characterize, diagnose, design, campaign and simulate hold what their figures need.
+Figures go beside the JSON file, or into --out.
 """
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from imr_torch.cli.figures import FORMATS, formats_of, save_figures, subfolder
 from imr_torch.errors import InputDataError
 from imr_torch.html import write
-from imr_torch.results import characterization_page, draw_figures, read_document
+from imr_torch.results import campaign_page, characterization_page, draw_figures, read_document
 
 NAME = "plot"
+_PAGES: dict[str, Callable[[Mapping[str, Any]], str]] = {
+    "imr_torch characterize": characterization_page,
+    "imr_torch campaign": campaign_page,
+}
 SUMMARY = "the figures of a result, from its JSON"
 
 
@@ -26,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="RESULT.json", help="a result that --json or --out wrote")
     parser.add_argument("--out", metavar="DIR", help="folder of the figures (default: that of the JSON file)")
     parser.add_argument("--format", default="png,pdf", metavar="NAME,...", help=f"of {', '.join(FORMATS)} (default png,pdf)")
-    parser.add_argument("--html", metavar="FILE", help="write the page of a characterisation too")
+    parser.add_argument("--html", metavar="FILE", help="write the page of a characterisation or campaign too")
 
 
 def run(args: argparse.Namespace) -> None:
@@ -70,8 +74,8 @@ def _each(args: argparse.Namespace, document: Mapping[str, Any], folder: Path) -
 
 def _page(document: Mapping[str, Any]) -> str:
     name = document["schema"]["name"]
-    if name != "imr_torch characterize":
+    if name not in _PAGES:
         raise InputDataError(
-            f"--html: the result is of {name!r}; a page is made again for characterize only. Leave --html out."
+            f"--html: the result is of {name!r}; a page is made again of {' and '.join(_PAGES)} only. Leave --html out."
         )
-    return characterization_page(document)
+    return _PAGES[name](document)
