@@ -74,7 +74,7 @@ def _check(values: Mapping[str, Any], wanted: Mapping[str, Any], place: str) -> 
         value = values[key]
         if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
             raise _wrong(name, repr(value)[:40], _word(expected))
-        if isinstance(kind, Mapping):
+        if isinstance(kind, Mapping) and isinstance(value, Mapping):
             _check(value, kind, name)
 
 
