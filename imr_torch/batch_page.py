@@ -1,9 +1,8 @@
 """Summary of many shots as one HTML page: a line per shot, and each parameter over the shots."""
 
-import base64
-import io
 from collections.abc import Mapping, Sequence
-from html import escape
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +11,12 @@ import matplotlib
 matplotlib.use("Agg", force=False)
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from imr_torch.batch import DONE, FAILED, BatchSummary
-from imr_torch.files import write_atomically
+from imr_torch.html import Block, Picture, Table, page, write
 from imr_torch.material import PARAMETERS, Parameter
 
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 2rem auto; padding: 0 1rem; color: #222;
-  background: #fff; }
-.wide { overflow-x: auto; } table { border-collapse: collapse; font-size: .9rem; }
-th, td { text-align: left; padding: .25rem .7rem .25rem 0; border-bottom: 1px solid #ddd; vertical-align: top; }
-img { max-width: 100%; height: auto; } .failed, .not { background: #fdf0e6; }
-"""
 _MODEL, _DOUBTFUL = "#0072B2", "#D55E00"
 _NAMED = 40  # shots whose names stand below a plot
 
@@ -39,15 +32,23 @@ def write_summary(summary: BatchSummary, path: str | Path) -> Path:
     ...     "no bubble" in write_summary(summary, f"{folder}/summary.html").read_text()
     True
     """
-    path = Path(path)
-    text = _page(summary).encode()
-    write_atomically(path, lambda stream: stream.write(text))
-    return path
+    return write(_page(summary), path)
 
 
 def _page(summary: BatchSummary) -> str:
+    pictures = [
+        Picture(
+            f"{_heading(PARAMETERS[name])} of each shot with its 90 % interval; dashed: the median of those to be quoted.",
+            f"{name} of each shot with its 90 % interval; the table gives the numbers.",
+            _figure_of(plot_shots(summary, name)),
+        )
+        for name in summary.parameters
+    ]
+    made = [row for row in summary.rows if row["status"] != FAILED]
+    failed = [row for row in summary.rows if row["status"] == FAILED]
+    doubtful = frozenset(i for i, row in enumerate(made) if not _usable(row))
     names = summary.parameters
-    heads = [
+    head = (
         "shot",
         "status",
         "curves",
@@ -57,20 +58,48 @@ def _page(summary: BatchSummary) -> str:
         "probability",
         *(_heading(PARAMETERS[n]) for n in names),
         "RMSE",
-    ]
-    body = "".join(_line(row, names, len(heads)) for row in summary.rows)
-    figures = "".join(_figure(summary, name) for name in names)
-    counts = escape(summary.report().splitlines()[0])
-    return (
-        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>Summary of shots</title><style>{_STYLE}</style></head><body><h1>Summary of shots</h1><p>{counts}. "
-        "Intervals hold 90 % of the posterior of the most probable model of each shot. Those of shots that have not "
-        "converged, or whose weighed draws are not reliable (verdict refused), are orange and not to be quoted. A dashed line "
-        "is the median of the other shots.</p>"
-        f"{figures}<h2>Shots</h2><div class='wide'><table><thead><tr>"
-        + "".join(f"<th>{escape(head)}</th>" for head in heads)
-        + f"</tr></thead><tbody>{body}</tbody></table></div></body></html>\n"
     )
+    blocks = [
+        Block("Shots without a result", (_failures(failed),)) if failed else None,
+        Block("Parameters over the shots", tuple(pictures)) if pictures else None,
+        Block("Shots", (Table(tuple(_line(row, names) for row in made), head, doubtful),)) if made else None,
+    ]
+    text = page(
+        "Summary of shots",
+        [f"{summary.report().splitlines()[0]}.", _MEANING],
+        [block for block in blocks if block is not None],
+        warning=bool(failed or doubtful),
+        next_step=_next_step(len(failed), len(doubtful)),
+        footer=f"imr_torch {version('imr-torch')}, {datetime.now(UTC).isoformat(timespec='seconds')}",
+    )
+    for picture in pictures:
+        plt.close(picture.figure)
+    return text
+
+
+_MEANING = (
+    "Intervals hold 90 % of the posterior of the most probable model of each shot. Those of shots that have not converged, or "
+    "whose weighed draws are not reliable (verdict refused), are orange and not to be quoted."
+)
+
+
+def _next_step(failed: int, doubtful: int) -> str:
+    if failed:
+        return (
+            f"Correct the {failed} file(s) without a result and run the same command again: it computes only what is missing."
+        )
+    if doubtful:
+        return f"Look at the {doubtful} orange shot(s) one by one: imr-torch characterize FILE --effort thorough."
+    return "Compare two gels: imr-torch compare shots/A.json shots/B.json."
+
+
+def _failures(rows: Sequence[Mapping[str, Any]]) -> Table:
+    return Table(tuple((row["shot"], row["error"]) for row in rows), ("shot", "why"), frozenset(range(len(rows))))
+
+
+def _figure_of(ax: Axes) -> Figure:
+    assert isinstance(ax.figure, Figure)
+    return ax.figure
 
 
 def _usable(row: Mapping[str, Any]) -> bool:
@@ -83,15 +112,10 @@ def _heading(parameter: Parameter) -> str:
     return f"{parameter.name} ({unit})" if unit else parameter.name
 
 
-def _line(row: Mapping[str, Any], names: Sequence[str], width: int) -> str:
-    first = f"<td>{escape(row['shot'])}</td><td>{escape(row['status'])}</td>"
-    if row["status"] == FAILED:
-        return f'<tr class="failed">{first}<td colspan="{width - 2}">{escape(row["error"])}</td></tr>'
-    cells = [str(row["curves"]), f"{row['We']:.0f}", f"{row['R_inf*']:.3f}", row["model"], f"{row['probability']:.3f}"]
-    cells += [_interval(row, PARAMETERS[name]) for name in names]
-    cells.append("" if row.get("rmse") is None else f"{row['rmse']:.4f}")
-    kind = "" if _usable(row) else ' class="not"'
-    return f"<tr{kind}>{first}" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
+def _line(row: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
+    cells = [row["shot"], row["status"], str(row["curves"]), f"{row['We']:.0f}", f"{row['R_inf*']:.3f}", row["model"]]
+    cells += [f"{row['probability']:.3f}", *(_interval(row, PARAMETERS[name]) for name in names)]
+    return (*cells, "" if row.get("rmse") is None else f"{row['rmse']:.4f}")
 
 
 def _interval(row: Mapping[str, Any], parameter: Parameter) -> str:
@@ -99,16 +123,6 @@ def _interval(row: Mapping[str, Any], parameter: Parameter) -> str:
         return ""
     low, middle, high = (parameter.display_scale * row[f"{parameter.name}{end}"] for end in ("_low", "", "_high"))
     return f"{middle:.4g} ({low:.3g} to {high:.3g})"
-
-
-def _figure(summary: BatchSummary, name: str) -> str:
-    figure = plot_shots(summary, name).figure
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=110)  # type: ignore[union-attr]
-    plt.close(figure)  # type: ignore[arg-type]
-    code = base64.b64encode(stream.getvalue()).decode()
-    alt = f"{name} of each shot with its 90 % interval; the table below gives the numbers."
-    return f'<h2>{escape(_heading(PARAMETERS[name]))}</h2><img alt="{escape(alt)}" src="data:image/png;base64,{code}">'
 
 
 def plot_shots(summary: BatchSummary, name: str, *, ax: Axes | None = None) -> Axes:

@@ -169,7 +169,10 @@ class Characterization:
                 "certificate": certificate,
             }
         return {
-            "experiments": [{"id": e.label, "We": e.design[0], "R_inf*": e.design[1]} for e in self.experiments],
+            "experiments": [
+                {"id": e.label, "We": e.design[0], "R_inf*": e.design[1], "exposure_t_star": e.exposure}
+                for e in self.experiments
+            ],
             "cautions": list(self.prepared.cautions),
             **({} if self.medium is None else medium_document(self.medium, self.sensitivities, self.posterior.best)),
             "model_probabilities": self.posterior.probabilities,

@@ -29,6 +29,9 @@ figure { margin: 1rem 0; } figcaption { color: #444; font-size: .9rem; } img { m
 ul { padding-left: 1.2rem; }
 table { border-collapse: collapse; margin: 1rem 0; width: 100%; }
 th, td { text-align: left; vertical-align: top; padding: .3rem .8rem .3rem 0; border-bottom: 1px solid #ddd; }
+.facts th { min-width: 7.5rem; } .wide { overflow-x: auto; }
+.wide td, .wide th { overflow-wrap: break-word; min-width: 3.5rem; }
+.marked td { background: #fdf0e6; }
 details { margin: .8rem 0; border: 1px solid #ddd; border-radius: 4px; padding: .4rem .8rem; }
 summary { cursor: pointer; font-weight: 600; } pre { white-space: pre-wrap; font-size: .85rem; }
 @media (max-width: 480px) {
@@ -64,6 +67,11 @@ class Picture:
 class Table:
     """A table; without a head, of facts: the first cell of each row names the second.
 
+    Args:
+        rows: the cells.
+        head: names of the columns.
+        marked: numbers of the rows that stand out, from 0.
+
     >>> from imr_torch.html import Table
     >>> Table((("G", "8.3 kPa"),)).rows[0]
     ('G', '8.3 kPa')
@@ -71,6 +79,7 @@ class Table:
 
     rows: tuple[tuple[str, ...], ...]
     head: tuple[str, ...] = ()
+    marked: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -175,8 +184,11 @@ def _item(item: Table | Picture | Preformatted) -> str:
         rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(' '.join(values))}</td></tr>" for name, *values in item.rows)
         return f'<table class="facts">{rows}</table>'
     head = "".join(f"<th>{escape(cell)}</th>" for cell in item.head)
-    rows = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in item.rows)
-    return f"<table><tr>{head}</tr>{rows}</table>"
+    rows = "".join(
+        f"<tr{' class=marked' * (number in item.marked)}>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
+        for number, row in enumerate(item.rows)
+    )
+    return f'<div class="wide"><table><tr>{head}</tr>{rows}</table></div>'
 
 
 def _embedded(picture: Picture) -> str:

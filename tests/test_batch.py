@@ -224,7 +224,7 @@ ROWS = (
 
 def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter(tmp_path: Path) -> None:
     text = write_summary(BatchSummary(ROWS), tmp_path / "summary.html").read_text()
-    assert text.count("<tr") == 3
+    assert text.count("<tr") == 4  # two tables of a head and a row
     assert text.count("data:image/png;base64,") == 2
     assert "a&lt;b" in text
     assert "no &lt;bubble&gt;" in text

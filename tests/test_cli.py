@@ -16,6 +16,7 @@ from imr_torch.cli.common import simulator_of
 from imr_torch.cli.design import plan_of
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import Nuisance
+from imr_torch.results import draw_figures
 from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator
 from tests.journals import cut
 
@@ -133,6 +134,25 @@ def test_campaign_reports_designs_errors_probabilities_intervals_and_cost(simula
     assert low < high < 1e5
     assert result["cpu_seconds"] > 0
     assert {"information_001.png", "curve_001.png", "models.png", "parameter_G.png"} <= {p.name for p in out.glob("*.png")}
+
+
+def test_that_the_page_and_the_figures_of_a_campaign_come_from_its_json_alone(simulated, tmp_path, capsys):
+    document = json.loads((simulated[1] / "campaign.json").read_text())
+    assert [curve["number"] for curve in document["curves"]] == [1]
+    names = {figure.name for figure in draw_figures(document)}
+    assert names == {"models", "parameter_G", "parameter_mu", "information_001", "curve_001"}
+    copy = tmp_path / "campaign.json"
+    copy.write_text(json.dumps(document))
+    assert main(["plot", str(copy), "--format", "png", "--html", str(tmp_path / "page.html"), "--quiet"]) == 0
+    assert {path.stem for path in tmp_path.glob("*.png")} == names
+    page = (tmp_path / "page.html").read_text()
+    assert "After 1 experiment(s) NHKV has a probability of" in page
+    assert page.count("data:image/png;base64,") == len(names)
+    assert "<script" not in page
+    del document["history"][0]["belief"]
+    copy.write_text(json.dumps(document))
+    assert main(["plot", str(copy), "--quiet"]) == 2
+    assert "campaign.json: is not a whole result (KeyError: 'belief')" in capsys.readouterr().err
 
 
 def test_campaign_does_not_overwrite_and_resumes(simulated, capsys):

@@ -35,7 +35,7 @@ def keep_threads():
     [
         (["design", "--case", "soft-pa", "--models", "nhkv"], "--models has no effect beside --case"),
         (["design", "--belief", "x.json", "--known", "G=1"], "--known has no effect beside --belief"),
-        (["design", "--models", "nhkv,nhkv"], "name at least one model, each once"),
+        (["design", "--models", "nhkv,nhkv"], "name at least one, each once"),
         (["design", "--models", "nhkv", "--known", "tau=1e-6"], "'tau' is a parameter of none of nhkv"),
         (["design", "--models", "nhkv", "--known", "G=-1"], r"Parameter 'G' is -1 Pa; expected a value in"),
         (["design", "--models", "nhkv", "--known", "G=nan"], r"Parameter 'G' is nan Pa; expected a value in"),
@@ -47,7 +47,7 @@ def keep_threads():
         ([*FIT, "--experiments", ""], "--experiments is ''; name at least one"),
         ([*FIT, "--experiments", "shot_1,shot_1"], "each once, separated by commas"),
         ([*FIT, "--collapses", "0"], "collapses is 0; the fitted window needs at least 1"),
-        ([*FIT, "--rest-radius", "0.2:-1"], "rest_radius is 0.2:-1; expected"),
+        ([*FIT, "--rest-radius", "0.2:-1"], "--rest-radius is .0.2:-1.; expected"),
         (["diagnose", "{set}", "--collapses", "3"], "--collapses is about files of curves, and has no effect on sets"),
         (["diagnose", "{set}", "--rest-radius", "0.2:0.1"], "--rest-radius is about files of curves"),
         (["diagnose", "{set}", "--layout", "radius=R"], "--layout is about files of curves"),

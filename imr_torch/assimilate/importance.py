@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 _ENOUGH = 20.0  # effective samples, and a tenth of all, below which no estimate is taken as reliable
+_LARGEST_SHAPE = 2.0  # of a tail, in an error; beyond it nothing is known
 _SHORTEST_TAIL = 5  # weights to which a generalised Pareto distribution can be fitted
 
 
@@ -168,8 +169,24 @@ class ImportanceSample:
 
     @property
     def log_evidence_error(self) -> float:
-        """Monte Carlo standard error of ``log_evidence`` (delta method)."""
+        """Monte Carlo standard error of ``log_evidence``: by the delta method, larger where the draws are not reliable."""
+        return self._spread if self.reliable else self.doubtful_error
+
+    @property
+    def _spread(self) -> float:
         return float(len(self) * self.weights.std() / math.sqrt(len(self)))
+
+    @property
+    def doubtful_error(self) -> float:
+        """The same with what the tail of the weights may hide.
+
+        The mean of ``n`` weights whose tail has a shape ``k`` above 1/2 converges as ``n^(k - 1)`` (Vehtari et al. 2024),
+        mostly from below, and the spread of the weights that were drawn does not show it. ``k`` is taken one standard deviation
+        above its estimate.
+        """
+        count, shape = len(self), min(self.pareto_k, _LARGEST_SHAPE)
+        shape = min(shape + (1.0 + shape) / math.sqrt(min(0.2 * count, 3.0 * math.sqrt(count))), _LARGEST_SHAPE)
+        return math.hypot(self._spread, max(count ** (shape - 1.0) - count**-0.5, 0.0))
 
     @cached_property
     def mean(self) -> Tensor:

@@ -8,7 +8,7 @@ Against the data's own likelihood, which :func:`imr_torch.assimilate.assimilate`
 mean, with the noise of one; its misfit is divided by the number of frames; and every restart uses the data again.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -94,7 +94,7 @@ def as_one_curve(experiment: Experiment) -> Experiment:
     >>> as_one_curve(Experiment("shot 1", (400.0, 0.22), times, torch.stack(radii))).radius.round(decimals=3).tolist()
     [[1.0, 0.35]]
     """
-    return Experiment(experiment.label, experiment.design, experiment.times, experiment.mean[None], experiment.nuisance)
+    return replace(experiment, radius=experiment.mean[None])
 
 
 def assimilate_published(

@@ -164,6 +164,11 @@ class Journal:
         if entry["event"] == "observed":
             for record in entry["experiments"]:
                 _check_fields(record, _RECORD, f"{place}: an experiment of event 'observed'")
+                _check_numbers(record["design"], "design", 2, float, place)
+        elif entry["event"] == "ask":
+            _check_numbers(entry["design"], "design", 2, float, place)
+        elif entry["event"] == "learnt":
+            _check_numbers(entry["experiments"], "experiments", None, int, place)
         self.events.append(entry)
         self._checks.append(check)
 
@@ -265,6 +270,7 @@ class Journal:
             "label": experiment.label,
             "design": list(experiment.design),
             "nuisance": vars(experiment.nuisance),
+            "exposure": experiment.exposure,
             "curve": curve_hash(experiment),
             "file": path.name,
             "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
@@ -284,7 +290,11 @@ class Journal:
         with np.load(path, allow_pickle=False) as arrays:
             times, radius = torch.from_numpy(arrays["times"]), torch.from_numpy(arrays["radius"])
         weber, rest = record["design"]
-        return Experiment(record["label"], (weber, rest), times, radius, Nuisance(**record["nuisance"]))
+        nuisance, exposure = Nuisance(**record["nuisance"]), record.get("exposure", 0.0)
+        experiment = Experiment(record["label"], (weber, rest), times, radius, nuisance, exposure)
+        if curve_hash(experiment) != record["curve"]:
+            raise InputDataError(f"{path}: holds another curve than the journal says; restore both from a copy.")
+        return experiment
 
 
 def _encoded(entry: dict[str, Any], previous: str) -> tuple[bytes, str] | None:
@@ -308,3 +318,12 @@ def _check_fields(entry: Any, fields: dict[str, type | tuple[type, ...]], place:
             kinds = kind if isinstance(kind, tuple) else (kind,)
             expected = " or ".join("nothing" if k is type(None) else k.__name__ for k in kinds)
             raise InputDataError(f"{place}: {name} is {entry[name]!r}; expected {expected}. {_REMEDY}")
+
+
+def _check_numbers(values: list[Any], name: str, count: int | None, kind: type, place: str) -> None:
+    """Raise unless a list holds numbers alone, ``count`` of them if given."""
+    kinds = (int, float) if kind is float else (kind,)
+    right = all(isinstance(x, kinds) and not isinstance(x, bool) for x in values)
+    if not right or count not in (None, len(values)):
+        number = "numbers" if count is None else f"{count} numbers"
+        raise InputDataError(f"{place}: {name} is {values!r}; expected {number}. {_REMEDY}")

@@ -107,6 +107,7 @@ class Campaign:
         self.settings = settings or CampaignSettings()
         self.journal = Journal(folder)
         self.experiments: list[Experiment] = []
+        self._withdrawn: list[Experiment] = []
         self.numbers: list[int] = []
         self.steps: list[Step] = []
         self._identity = self._identify(note or {})
@@ -149,7 +150,7 @@ class Campaign:
                 self._replay_one(event, known)
             except ImrError as error:
                 raise type(error)(f"{self.journal.path}, line {line}: {error}") from None
-            except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            except (KeyError, IndexError, TypeError, ValueError, AttributeError, RuntimeError) as error:
                 raise InputDataError(
                     f"{self.journal.path}, line {line}: event {event['event']!r} cannot be read "
                     f"({type(error).__name__}: {error}). Restore the journal from a copy."
@@ -166,7 +167,7 @@ class Campaign:
             noise = Noise(**event["noise"]) if event.get("noise") else None
             self.steps.append(Step(event["step"], Belief.from_dict(event["belief"]), evidence, noise=noise))
         elif event["event"] == "forget":
-            known.pop(event["experiment"])
+            self._withdrawn.append(known.pop(event["experiment"]))
             self._drop_steps(event["experiment"])
 
     def _drop_steps(self, number: int) -> None:
@@ -198,7 +199,18 @@ class Campaign:
     def reason_to_stop(self, proposal: Proposal | None = None) -> str | None:
         """Why the campaign should end, by what was told so far and, if given, what is proposed; None where it should not."""
         rule, gain = self.settings.stop, proposal.gain if proposal else None
-        return rule.reason(Standing(self.belief, tuple(self.experiments), gain)) if rule else None
+        return rule.reason(Standing(self.belief, tuple(self.experiments), gain, self.forgotten)) if rule else None
+
+    @property
+    def forgotten(self) -> tuple[Experiment, ...]:
+        """Experiments that were told and forgotten; one whose curve was told again unchanged is not among them."""
+        seen = {curve_hash(experiment) for experiment in self.experiments}
+        lost = []
+        for experiment in self._withdrawn:
+            if (curve := curve_hash(experiment)) not in seen:
+                seen.add(curve)
+                lost.append(experiment)
+        return tuple(lost)
 
     def ask(self, *, progress: Progress | None = None) -> Proposal:
         """The design that the policy chooses under the present belief.
@@ -355,7 +367,7 @@ class Campaign:
                 held = ", ".join(f"{n} ({e.label!r})" for n, e in zip(self.numbers, self.experiments, strict=True)) or "none"
                 raise InputDataError(f"There is no experiment {number} to forget in {self.journal.path}; it counts {held}.")
             self._record("forget", experiment=number)
-            del self.experiments[self.numbers.index(number)]
+            self._withdrawn.append(self.experiments.pop(self.numbers.index(number)))
             self.numbers.remove(number)
             self._drop_steps(number)
             self._catch_up(progress)

@@ -2,6 +2,10 @@
 
 A rule looks at what is believed and what was done, and answers with a reason or with None. ``AnyOf`` and ``AllOf`` combine
 rules; a rule about the gain of the next experiment gives none while that gain has not been estimated.
+
+An experiment that was forgotten counts as spent and not as data: ``Budget`` charges it, ``Designs`` and all rules about the
+belief do not see it. A curve that was forgotten and told again unchanged is one shot, charged once; a corrected curve is
+charged again, since nothing says that it is of the same shot.
 """
 
 import math
@@ -19,8 +23,9 @@ class Standing:
 
     Args:
         belief: the present belief.
-        experiments: all that were told.
+        experiments: those that count as data.
         gain: expected information gain of the experiment that is proposed, nats; None when not known.
+        forgotten: those that were shot and do not count as data any more.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import GainBelow, Standing
@@ -32,6 +37,7 @@ class Standing:
     belief: Belief
     experiments: tuple[Experiment, ...]
     gain: float | None = None
+    forgotten: tuple[Experiment, ...] = ()
 
 
 class StoppingRule(Protocol):
@@ -51,7 +57,7 @@ class StoppingRule(Protocol):
 
 @dataclass(frozen=True)
 class Designs:
-    """Stop after a number of experiments.
+    """Stop after a number of experiments that count as data; those that were forgotten do not.
 
     Args:
         count: how many.
@@ -71,7 +77,8 @@ class Designs:
     def reason(self, standing: Standing) -> str | None:
         """See :class:`StoppingRule`."""
         done = len(standing.experiments)
-        return f"{done} designs were shot" if done >= self.count else None
+        lost = f", besides {len(standing.forgotten)} that were forgotten" if standing.forgotten else ""
+        return f"{done} designs were shot{lost}" if done >= self.count else None
 
 
 @dataclass(frozen=True)
@@ -187,11 +194,16 @@ class Budget:
 
     def reason(self, standing: Standing) -> str | None:
         """See :class:`StoppingRule`."""
-        costs = [self.per_design + self.per_curve * e.repeats for e in standing.experiments]
-        following = costs[-1] if costs else self.per_design + self.per_curve
-        if sum(costs) + following <= self.total:
+        costs, lost = (
+            [self.per_design + self.per_curve * e.repeats for e in group]
+            for group in (standing.experiments, standing.forgotten)
+        )
+        following = [*lost, *costs][-1] if costs or lost else self.per_design + self.per_curve
+        spent = sum(costs) + sum(lost)
+        if spent + following <= self.total:
             return None
-        return f"{sum(costs):g} of the budget of {self.total:g} are spent"
+        of_these = f", {sum(lost):g} of these on experiments that were forgotten" if lost else ""
+        return f"{spent:g} of the budget of {self.total:g} are spent{of_these}"
 
 
 @dataclass(frozen=True)
@@ -277,4 +289,7 @@ def _one(text: str) -> StoppingRule:
         rule, numbers = None, []
     if rule is None or len(numbers) > (3 if name == "budget" else 1):
         raise InputDataError(f"{text!r} is not a stopping rule; expected NAME=NUMBER with NAME of {', '.join(_RULES)}.")
-    return rule(*numbers)
+    try:
+        return rule(*numbers)
+    except InputDataError as error:
+        raise InputDataError(f"{text!r} is not a stopping rule: {error}") from None

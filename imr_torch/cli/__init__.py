@@ -10,13 +10,14 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 
 import torch
 
 from imr_torch.cli import batch, campaign, characterize, compare, design, diagnose, plot, simulate
 from imr_torch.cli.common import add_engine_arguments
 from imr_torch.cli.progress import Terminal
-from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError
+from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, InputDataError
 from imr_torch.files import check_target
 
 COMMANDS = (simulate, characterize, batch, compare, design, campaign, diagnose, plot)
@@ -39,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.add_arguments(sub)
-        sub.add_argument("--seed", type=int, default=0, help="seed of everything random (default 0)")
+        sub.add_argument("--seed", type=_seed, default=0, help="seed of everything random, from 0 on (default 0)")
         sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
         add_engine_arguments(sub)
         sub.add_argument("--quiet", action="store_true", help="no progress on the terminal")
@@ -86,5 +87,33 @@ def _ended(message: str, status: int) -> int:
 def _check_targets(args: argparse.Namespace) -> None:
     """Refuse files and folders that could not be written, before any work is done."""
     for option, folder in (("json", False), ("html", False), ("out", True)):
-        if path := getattr(args, option, None):
-            check_target(path, f"--{option}", folder=folder)
+        path = getattr(args, option, None)
+        if path is None:
+            continue
+        check_target(path, f"--{option}", folder=folder)
+        if not folder:
+            _check_kept(args, option, Path(path).resolve())
+            for other in ("json", "html"):
+                second = getattr(args, other, None)
+                if other < option and second is not None and Path(second).resolve() == Path(path).resolve():
+                    raise InputDataError(f"--{other} and --{option} are both {path!r}; give each a file of its own.")
+
+
+def _check_kept(args: argparse.Namespace, option: str, target: Path) -> None:
+    """Refuse to write over a file that is read, or the JSON file beside it."""
+    for name in ("files", "tell", "file", "belief", "a", "b"):
+        given = getattr(args, name, None)
+        for path in [given] if isinstance(given, str) else given or ():
+            if target in (Path(path).resolve(), Path(path).with_suffix(".json").resolve()):
+                raise InputDataError(f"--{option} is {str(target)!r}, which is read as well; give another name.")
+
+
+def _seed(text: str) -> int:
+    """A seed: an integer that random generators take."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = -1
+    if not 0 <= value < 2**63:
+        raise argparse.ArgumentTypeError(f"{text!r} is no integer from 0 to 2^63 - 1")
+    return value

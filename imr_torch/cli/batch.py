@@ -29,15 +29,17 @@ from imr_torch.cli.common import (
     add_physics_argument,
     add_prior_arguments,
     add_window_arguments,
-    parse_pair,
+    check_counts,
+    layout_of,
     prior_of,
     progress_of,
+    rest_radius_of,
     statement_of,
     with_engine,
     write_result,
 )
 from imr_torch.errors import ConvergenceError, InputDataError, UnsupportedError
-from imr_torch.observe import Layout, find_files
+from imr_torch.observe import find_files
 from imr_torch.simulate import process_pool
 
 NAME = "batch"
@@ -76,10 +78,10 @@ def run(args: argparse.Namespace) -> None:
     options = BatchOptions(
         prior_of(args),
         replace(simulator, threads=1) if apart else simulator,
-        layout=Layout.from_text(args.layout) if args.layout else None,
+        layout=layout_of(args),
         each=args.each,
         collapses=args.collapses,
-        rest_radius=parse_pair(args.rest_radius, "--rest-radius"),
+        rest_radius=rest_radius_of(args),
         estimate_noise=args.noise == "estimated",
         options=METHODS[args.method],
         medium=statement_of(args),
@@ -102,10 +104,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _check(args: argparse.Namespace) -> None:
-    if args.workers is not None and args.workers < 1:
-        raise InputDataError(f"--workers is {args.workers}; expected at least 1.")
-    if args.collapses < 1:
-        raise InputDataError(f"--collapses is {args.collapses}; expected at least 1.")
+    check_counts(args, "workers", "collapses")
     if args.workers is not None and args.cluster is not None:
         raise InputDataError("--workers and --cluster both say who does the work; give one of them.")
     out = Path(args.out)

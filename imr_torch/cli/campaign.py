@@ -26,7 +26,7 @@ What to compare with, and when to end:
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,34 +42,40 @@ from imr_torch.campaign import (
     Fixed,
     Journal,
     Optimal,
+    Proposal,
     Random,
     SpaceFilling,
     stopping_rule,
 )
-from imr_torch.characterize import intervals, medium_of, predictive_band
+from imr_torch.characterize import medium_of
 from imr_torch.cli.common import (
     METHODS,
     add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
     add_workers_argument,
+    check_counts,
+    header_of,
+    layout_of,
     parse_pair,
     prior_of,
     progress_of,
-    save_figure,
+    rest_radius_of,
     simulator_of,
     statement_of,
     with_medium,
     write_result,
 )
 from imr_torch.cli.design import add_space_arguments, plan_of, space_of
+from imr_torch.cli.figures import save_figures
 from imr_torch.errors import InputDataError
 from imr_torch.files import remove_temporaries
+from imr_torch.html import write
 from imr_torch.material import PARAMETERS, Belief, ReferenceCase, reference_case
-from imr_torch.observe import Experiment, Layout, SimulatedLaboratory, TraceSet, load_traces, prepare
+from imr_torch.observe import Experiment, SimulatedLaboratory, TraceSet, load_traces, prepare
 from imr_torch.observe.medium import label
-from imr_torch.plot import plot_experiment, plot_information, plot_parameter, plot_probabilities
 from imr_torch.random import child
+from imr_torch.results import campaign_document, campaign_page, draw_figures
 from imr_torch.simulate import Simulator
 
 _FITS = {"exact": "map", "en4dvar": "en4dvar"}
@@ -93,7 +99,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="RULE",
         help="end early: sd=.01 (every parameter), probability=.99 (of a model), gain=.5 (nats), designs=5, "
-        "budget=TOTAL:PER_DESIGN:PER_CURVE; with commas all of them together, given again any of them",
+        "budget=TOTAL:PER_DESIGN:PER_CURVE (what was forgotten is spent, and no datum); with commas all together, given again "
+        "any of them",
     )
     parser.add_argument(
         "--method",
@@ -114,6 +121,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--layout", metavar="TEXT", help="how to read told files, as for characterize")
     parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax of told files without a tail")
+    parser.add_argument("--html", metavar="FILE", help="write the state of the campaign with its figures as one HTML file")
     add_space_arguments(parser)
     add_medium_argument(parser)
     add_physics_argument(parser)
@@ -129,9 +137,10 @@ def run(args: argparse.Namespace) -> None:
     """
     if args.tell and args.case:
         raise InputDataError("--tell gives real experiments and --case simulates them; give one of the two.")
-    for option in ("designs", "q"):
-        if getattr(args, option) < 1:
-            raise InputDataError(f"--{option} is {getattr(args, option)}; expected at least 1.")
+    check_counts(args, "designs", "q", "evaluations", "repeats")
+    for option in ("layout", "rest_radius"):
+        if getattr(args, option) is not None and not args.tell:
+            raise InputDataError(f"--{option.replace('_', '-')} is about told files and has no effect without --tell.")
     settings = settings_of(args)
     simulator, prior, medium = with_medium(args, simulator_of(args), prior_of(args))
     if args.case and medium.sds:
@@ -146,11 +155,8 @@ def run(args: argparse.Namespace) -> None:
     try:
         with campaign.journal.held():
             remove_temporaries(campaign.journal.folder, f"{args.command}.json", "*.png")
-            if case:
-                _simulated(campaign, case, args)
-            else:
-                _real(campaign, args)
-            _report(campaign, case, args, time.process_time() - started)
+            proposals, stopped = _simulated(campaign, case, args) if case else _real(campaign, args)
+            _report(campaign, case, args, time.process_time() - started, proposals, stopped)
     except KeyboardInterrupt:
         kept = f"; what was finished is in {campaign.journal.path}, continue with --resume" if campaign.journal.events else ""
         raise KeyboardInterrupt(f"interrupted{kept}") from None
@@ -197,8 +203,8 @@ def _policy(text: str, optimal: DesignPolicy, evaluations: int) -> DesignPolicy:
     return Fixed(tuple(pair for part in text.split(",") if (pair := parse_pair(part, "--policy")) is not None))
 
 
-def _simulated(campaign: Campaign, case: ReferenceCase, args: argparse.Namespace) -> None:
-    """Shoot the secret gel of a reference case."""
+def _simulated(campaign: Campaign, case: ReferenceCase, args: argparse.Namespace) -> tuple[Sequence[Proposal], str | None]:
+    """Shoot the secret gel of a reference case; no proposals, and why it ended early."""
     laboratory = SimulatedLaboratory(
         campaign.simulator,
         PARAMETERS.pack(case.truth),
@@ -217,17 +223,19 @@ def _simulated(campaign: Campaign, case: ReferenceCase, args: argparse.Namespace
     if args.forget is not None:
         campaign.forget(args.forget, progress=progress)
     campaign.run(shoot, args.designs, q=args.q, progress=progress)
+    ended = campaign.journal.find("stop", campaign.told)
+    return (), ended["reason"] if ended else None
 
 
-def _real(campaign: Campaign, args: argparse.Namespace) -> None:
-    """Learn from told files, then say what to shoot next."""
+def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Proposal], str | None]:
+    """Learn from told files, then say what to shoot next: the proposals, or why it is enough."""
     progress, experiments = progress_of(args), ()
     if args.tell:
-        traces = load_traces(*args.tell, layout=Layout.from_text(args.layout) if args.layout else None)
+        traces = load_traces(*args.tell, layout=layout_of(args))
         print(traces.report())
         surroundings = campaign.simulator.conditions.surroundings
         _check_medium(traces, args)
-        prepared = prepare(traces, surroundings, rest_radius=parse_pair(args.rest_radius, "--rest-radius"))
+        prepared = prepare(traces, surroundings, rest_radius=rest_radius_of(args))
         print(prepared.report())
         experiments = prepared.experiments
     if args.forget is not None:
@@ -238,7 +246,7 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> None:
         campaign.learn(progress=progress)
     if reason := campaign.reason_to_stop():
         print(f"Enough: {reason}")
-        return
+        return (), reason
     proposals = campaign.ask_several(args.q, progress=progress)
     for proposal in proposals:
         where = campaign.settings.space.describe(proposal.design, campaign.simulator.conditions.surroundings)
@@ -249,6 +257,7 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> None:
     gains = [proposal.gain for proposal in proposals if proposal.gain is not None]
     if len(gains) > 1:
         print(f"expected gain of all together {sum(gains):.2f} nats; each is what a design adds to those before it")
+    return proposals, None
 
 
 def _check_medium(traces: TraceSet, args: argparse.Namespace) -> None:
@@ -264,51 +273,37 @@ def _check_medium(traces: TraceSet, args: argparse.Namespace) -> None:
         print(note)
 
 
-def _report(campaign: Campaign, case: ReferenceCase | None, args: argparse.Namespace, seconds: float) -> None:
+def _report(
+    campaign: Campaign,
+    case: ReferenceCase | None,
+    args: argparse.Namespace,
+    seconds: float,
+    proposals: Sequence[Proposal],
+    stopped: str | None,
+) -> None:
+    """Print the belief; write JSON, figures and page."""
     belief = campaign.belief
-    document: dict[str, Any] = {
-        "designs": [list(e.design) for e in campaign.experiments],
-        "experiments": campaign.numbers,
-        "relative_error": {},
-        "model_probabilities": belief.probabilities,
-        "intervals": {part.model: intervals(part) for part in belief.models},
-        "noise": vars(campaign.plan.noise),
-        "cpu_seconds": seconds,
-        "belief": belief.to_dict(),
-    }
     if campaign.steps and campaign.steps[-1].noise:
         print(f"noise {campaign.steps[-1].noise}")
     print("model probabilities: " + ", ".join(f"{k} {v:.4f}" for k, v in belief.probabilities.items()))
+    errors, truth = {}, None
     if case:
         part = belief[case.truth_model]
         truth = {name: case.truth[name] for name in part.names}
-        document["relative_error"] = {n: abs(float(m) / truth[n] - 1.0) for n, m in zip(part.names, part.means, strict=True)}
+        errors = {n: abs(float(m) / truth[n] - 1.0) for n, m in zip(part.names, part.means, strict=True)}
         for name, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
             entry = PARAMETERS[name]
-            error = 100 * document["relative_error"][name]
             mean, sd, true = (x * entry.display_scale for x in (mean, sd, truth[name]))
-            print(f"  {entry.label}: {mean:.4g} +- {sd:.2g}, truth {true:.4g}, error {error:.2f} %")
-    _figures(campaign, case)
-    write_result(args, document)
+            print(f"  {entry.label}: {mean:.4g} +- {sd:.2g}, truth {true:.4g}, error {100 * errors[name]:.2f} %")
+    document = campaign_document(campaign, proposals=proposals, stopped=stopped, truth=truth)
+    document |= {"relative_error": errors, "cpu_seconds": seconds}
+    write_result(args, document)  # before any figure, so that nothing computed is lost if one fails
+    _figures(campaign, document)
+    if args.html:
+        print(f"wrote {write(campaign_page(header_of(args) | document), args.html)}")
 
 
-def _figures(campaign: Campaign, case: ReferenceCase | None) -> None:
+def _figures(campaign: Campaign, document: dict[str, Any]) -> None:
     """Figures of the campaign so far; those that need a fit are drawn for the steps made in this run."""
-    folder, best = campaign.journal.folder, campaign.belief.best
-    history = [("prior", campaign.prior), *((f"after {s.number}", s.belief) for s in campaign.steps)]
-    save_figure(plot_probabilities(history), folder, "models")
-    for name in best.names:
-        shown = [(label, belief[best.model]) for label, belief in (history[0], *history[1:][-3:])]
-        truth = case.truth.get(name) if case and case.truth_model == best.model else None
-        save_figure(plot_parameter(shown, name, truth=truth), folder, f"parameter_{name}")
-    for number in range(1, campaign.told + 2):
-        search = campaign.search(number)
-        if search:
-            save_figure(plot_information(search), folder, f"information_{number:03d}")
-    last = campaign.steps[-1] if campaign.steps else None
-    if last and last.assimilation:
-        band = predictive_band(last.assimilation, last.belief, campaign.simulator, best.model)
-        for e, (number, experiment) in enumerate(zip(campaign.numbers, last.assimilation.batch.experiments, strict=True)):
-            axes = plot_experiment(experiment, (band[0][e], band[1][e], band[2][e]))
-            save_figure(axes, folder, f"curve_{number:03d}")
-    print(f"figures and journal in {folder}")
+    save_figures(draw_figures(document), campaign.journal.folder)
+    print(f"figures and journal in {campaign.journal.folder}")

@@ -32,10 +32,11 @@ from imr_torch.cli.common import (
     add_prior_arguments,
     add_window_arguments,
     header_of,
+    layout_of,
     names_of,
-    parse_pair,
     prior_of,
     progress_of,
+    rest_radius_of,
     simulator_of,
     statement_of,
     with_medium,
@@ -47,7 +48,7 @@ from imr_torch.errors import ConvergenceError, ImrError, InputDataError
 from imr_torch.files import write_atomically
 from imr_torch.html import write
 from imr_torch.material import ModelBelief
-from imr_torch.observe import Layout, TraceSet, load_traces, prepare
+from imr_torch.observe import TraceSet, load_traces, prepare
 from imr_torch.results import characterization_document, characterization_page, draw_figures
 
 NAME = "characterize"
@@ -93,7 +94,7 @@ def run(args: argparse.Namespace) -> None:
     if args.each and args.html:
         raise InputDataError("--html shows one gel, and --each fits every curve by itself; leave one of them out.")
     statement_of(args)  # checked before any work
-    traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
+    traces = load_traces(*args.files, layout=layout_of(args))
     if args.experiments is not None:
         traces = traces.select(names_of(args.experiments, "--experiments"))
     print(traces.report())
@@ -137,10 +138,10 @@ def _each(traces: TraceSet, args: argparse.Namespace) -> None:
 def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -> tuple[dict[str, Any], str, bool]:
     """Fit some curves together and print the result: its document, the report, and whether all fits have converged."""
     simulator, rounds = simulator_of(args), NOISE_ROUNDS if args.noise == "estimated" else 0
-    rest_radius = parse_pair(args.rest_radius, "--rest-radius")
+    rest_radius = rest_radius_of(args)
     simulator, prior, medium = with_medium(args, simulator, prior_of(args), traces)
     prepared = prepare(traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius)
-    print(prepared.report())
+    print(prepared.report(frames=False))
     result = characterize(
         traces,
         prior=prior,
@@ -159,7 +160,7 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -
     said = result.report(command)
     print("\n" + said)
     document = characterization_document(result, traces, simulator, command=command, seed=args.seed)
-    report = "\n\n".join((traces.report(), prepared.report(), said)) + "\n"
+    report = "\n\n".join((traces.report(), prepared.report(frames=False), said)) + "\n"
     return document, report, result.assimilation.converged
 
 

@@ -21,7 +21,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
 from imr_torch.material.media import NAMED
-from imr_torch.observe import GelMedium, Statement, TraceSet
+from imr_torch.observe import GelMedium, Layout, Statement, TraceSet
 from imr_torch.results import header
 from imr_torch.simulate import (
     ACCURACIES,
@@ -158,7 +158,7 @@ def prior_of(args: argparse.Namespace) -> Belief:
     if args.belief and args.case:
         raise InputDataError("--belief and --case both name a prior; give one of them.")
     for option in ("models", "known"):
-        if getattr(args, option) and (args.belief or args.case):
+        if getattr(args, option) not in (None, "") and (args.belief or args.case):
             other = "--belief" if args.belief else "--case"
             raise InputDataError(
                 f"--{option} has no effect beside {other}, which names models and priors; leave one of them out."
@@ -167,7 +167,7 @@ def prior_of(args: argparse.Namespace) -> Belief:
         return Belief.load(args.belief)
     if args.case:
         return reference_case(args.case).prior
-    models = [key.strip() for key in (args.models or DEFAULT_MODELS).split(",")]
+    models = names_of(DEFAULT_MODELS if args.models is None else args.models, "--models")
     return wide_prior(models, known=parse_values(args.known, "--known"))
 
 
@@ -207,6 +207,30 @@ def parse_pair(text: str | None, option: str) -> tuple[float, float] | None:
     except ValueError:
         raise InputDataError(f"{option}: {text!r} is not VALUE:VALUE, for example 0.2:0.1.") from None
     return first, second
+
+
+def check_counts(args: argparse.Namespace, *options: str) -> None:
+    """Refuse options that count something and are below 1."""
+    for option in options:
+        value = getattr(args, option)
+        if value is not None and value < 1:
+            raise InputDataError(f"--{option} is {value}; expected at least 1.")
+
+
+def rest_radius_of(args: argparse.Namespace) -> tuple[float, float] | None:
+    """``--rest-radius`` as R_inf/Rmax and its standard deviation."""
+    pair = parse_pair(args.rest_radius, "--rest-radius")
+    if pair is not None and not (0.0 < pair[0] < 1.0 and pair[1] >= 0.0):
+        raise InputDataError(
+            f"--rest-radius is {args.rest_radius!r}; expected R_inf/Rmax between 0 and 1 and a standard deviation >= 0, for "
+            "example 0.2:0.1."
+        )
+    return pair
+
+
+def layout_of(args: argparse.Namespace) -> Layout | None:
+    """What ``--layout`` says."""
+    return None if args.layout is None else Layout.from_text(args.layout)
 
 
 def progress_of(args: argparse.Namespace, stages: Sequence[Stage] = (), label: str = "") -> Progress | None:

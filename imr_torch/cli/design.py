@@ -16,6 +16,7 @@ from imr_torch.cli.common import (
     add_physics_argument,
     add_prior_arguments,
     add_workers_argument,
+    check_counts,
     parse_pair,
     prior_of,
     progress_of,
@@ -41,6 +42,7 @@ from imr_torch.design import (
     Target,
     search_design,
 )
+from imr_torch.errors import InputDataError
 from imr_torch.observe import Nuisance
 from imr_torch.plot import information_map
 from imr_torch.results import draw_figures
@@ -101,7 +103,10 @@ def space_of(args: argparse.Namespace) -> DesignSpace:
     weber, rest = parse_pair(args.we_range, "--we-range"), parse_pair(args.rinf_range, "--rinf-range")
     assert weber is not None
     assert rest is not None
-    return DesignSpace(weber, rest)
+    try:
+        return DesignSpace(weber, rest)
+    except InputDataError as error:
+        raise InputDataError(f"--we-range {args.we_range} --rinf-range {args.rinf_range}: {error}") from None
 
 
 def plan_of(args: argparse.Namespace) -> Plan:
@@ -124,6 +129,7 @@ def search_to_dict(search: DesignSearch) -> list[dict[str, float]]:
 
 def run(args: argparse.Namespace) -> None:
     """Search and report."""
+    check_counts(args, "q", "evaluations", "draws")
     simulator, space = simulator_of(args), space_of(args)
     simulator, prior, medium = with_medium(args, simulator, prior_of(args))
     print(medium.report())

@@ -12,6 +12,7 @@ library may. No cause is named without converged fits, nor where no effect of th
 import argparse
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from imr_torch.characterize import medium_document, medium_of
@@ -20,10 +21,11 @@ from imr_torch.cli.common import (
     add_physics_argument,
     add_workers_argument,
     header_of,
+    layout_of,
     names_of,
-    parse_pair,
     parse_values,
     progress_of,
+    rest_radius_of,
     simulator_of,
     statement_of,
     write_result,
@@ -44,7 +46,7 @@ from imr_torch.gap import (
     write_page,
 )
 from imr_torch.material import MATERIALS, wide_prior
-from imr_torch.observe import Experiment, GelMedium, Layout, Noise, TraceSet, load_traces, prepare
+from imr_torch.observe import Experiment, GelMedium, Noise, TraceSet, load_traces, prepare
 from imr_torch.results.page import assumed_rows, footer, provenance_table
 from imr_torch.simulate import Simulator
 
@@ -107,12 +109,11 @@ def run(args: argparse.Namespace) -> None:
     said = (*medium.learnt(report.null.posterior), *(found.sentence() for found in assumed))
     print("\n" + "\n".join([medium.report(), *(f"  {sentence} (Of the base model alone.)" for sentence in said)]))
     of_medium = medium_document(medium, assumed, report.null.posterior)
-    write_result(args, to_json(report, parts) | of_medium | {"seconds": time.perf_counter() - started})
+    write_result(args, to_json(report, parts, simulator=simulator) | of_medium | {"seconds": time.perf_counter() - started})
     if args.html:
         about = header_of(args) | of_medium
-        page = write_page(
-            report, args.html, parts, facts=(*provenance_table(about).rows, *assumed_rows(about)), footer=footer(about)
-        )
+        facts, said = (*provenance_table(about).rows, *assumed_rows(about)), footer(about)
+        page = write_page(report, args.html, parts, facts=facts, footer=said, simulator=simulator)
         print(f"wrote {page}")
     if not report.converged:
         raise ConvergenceError("a fit that the verdict rests on has not converged (see above).")
@@ -150,9 +151,9 @@ def _experiments(args: argparse.Namespace, simulator: Simulator) -> tuple[list[E
     statement, assumed = statement_of(args), simulator.conditions.surroundings
     sets = [name for name in args.files if _is_set(name)]
     if not sets:
-        traces = load_traces(*args.files, layout=Layout.from_text(args.layout) if args.layout else None)
+        traces = load_traces(*args.files, layout=layout_of(args))
         print(traces.report() + "\n")
-        rest = parse_pair(args.rest_radius, "--rest-radius")
+        rest = rest_radius_of(args)
         medium = medium_of(traces, statement, assumed)
         prepared = prepare(
             traces,
@@ -173,11 +174,7 @@ def _experiments(args: argparse.Namespace, simulator: Simulator) -> tuple[list[E
     loaded = {name: load_set(name, surroundings=medium.surroundings) for name in sets}
     if len(loaded) == 1:
         return next(iter(loaded.values())), medium
-    renamed = [
-        Experiment(f"{Path(name).stem} {e.label}", e.design, e.times, e.radius, e.nuisance)
-        for name, experiments in loaded.items()
-        for e in experiments
-    ]
+    renamed = [replace(e, label=f"{Path(name).stem} {e.label}") for name, experiments in loaded.items() for e in experiments]
     return renamed, medium
 
 

@@ -3,21 +3,25 @@
   imr-torch plot result/characterize.json
   imr-torch plot result/characterize.json --out paper --format pdf,svg --html gel.html
 
-Nothing is computed again. Results of characterize, diagnose, design and simulate hold what their figures need. Figures go
-beside the JSON file, or into --out.
+Nothing is computed again. Results of characterize, diagnose, design, campaign and simulate hold what their figures need.
+Figures go beside the JSON file, or into --out.
 """
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from imr_torch.cli.figures import FORMATS, formats_of, save_figures, subfolder
 from imr_torch.errors import InputDataError
 from imr_torch.html import write
-from imr_torch.results import characterization_page, draw_figures, read_document
+from imr_torch.results import campaign_page, characterization_page, draw_figures, read_document
 
 NAME = "plot"
+_PAGES: dict[str, Callable[[Mapping[str, Any]], str]] = {
+    "imr_torch characterize": characterization_page,
+    "imr_torch campaign": campaign_page,
+}
 SUMMARY = "the figures of a result, from its JSON"
 
 
@@ -26,31 +30,52 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="RESULT.json", help="a result that --json or --out wrote")
     parser.add_argument("--out", metavar="DIR", help="folder of the figures (default: that of the JSON file)")
     parser.add_argument("--format", default="png,pdf", metavar="NAME,...", help=f"of {', '.join(FORMATS)} (default png,pdf)")
-    parser.add_argument("--html", metavar="FILE", help="write the page of a characterisation too")
+    parser.add_argument("--html", metavar="FILE", help="write the page of a characterisation or campaign too")
 
 
 def run(args: argparse.Namespace) -> None:
-    """Read, draw."""
+    """Read, check, draw.
+
+    Raises:
+        InputDataError: naming the file, for a result that is not whole, or of which a figure could not be drawn.
+    """
     formats, document = formats_of(args.format), read_document(args.file)
     folder = Path(args.out) if args.out else Path(args.file).parent
-    if "each" in document:
-        for name, part in document["each"].items():
-            if "error" in part:
-                print(f"{name}: not fitted: {part['error']}")
-                continue
-            save_figures(draw_figures(part), folder / subfolder(name), formats)
-        if args.html:
-            raise InputDataError("--html: the result holds one fit per curve (--each), and a page shows one; leave --html out.")
-        return
-    save_figures(draw_figures(document), folder, formats)
+    parts = _each(args, document, folder) if "each" in document else {folder: document}
+    try:
+        figures = {place: draw_figures(part) for place, part in parts.items()}
+    except InputDataError as error:
+        raise InputDataError(f"{args.file}: {error}") from None
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise InputDataError(f"{args.file}: is not a whole result ({type(error).__name__}: {error}); make it anew.") from None
+    missing = sum(len(items) - save_figures(items, place, formats) for place, items in figures.items())
     if args.html:
         print(f"wrote {write(_page(document), args.html)}")
+    if missing:
+        raise InputDataError(f"{args.file}: {missing} figure(s) could not be drawn (see above); make the result anew.")
+
+
+def _each(args: argparse.Namespace, document: Mapping[str, Any], folder: Path) -> dict[Path, Mapping[str, Any]]:
+    """The results of ``characterize --each`` by the folders of their figures."""
+    if args.html:
+        raise InputDataError("--html: the result holds one fit per curve (--each), and a page shows one; leave --html out.")
+    parts: dict[Path, Mapping[str, Any]] = {}
+    if not isinstance(document["each"], Mapping):
+        raise InputDataError(f"{args.file}: 'each' is no object of results; make it anew.")
+    for name, part in document["each"].items():
+        if not isinstance(part, Mapping):
+            raise InputDataError(f"{args.file}: the result of {name!r} is no object; make it anew.")
+        if "error" in part:
+            print(f"{name}: not fitted: {part['error']}")
+        else:
+            parts[folder / subfolder(name)] = part
+    return parts
 
 
 def _page(document: Mapping[str, Any]) -> str:
     name = document["schema"]["name"]
-    if name != "imr_torch characterize":
+    if name not in _PAGES:
         raise InputDataError(
-            f"--html: the result is of {name!r}; a page is made again for characterize only. Leave --html out."
+            f"--html: the result is of {name!r}; a page is made again of {' and '.join(_PAGES)} only. Leave --html out."
         )
-    return characterization_page(document)
+    return _PAGES[name](document)

@@ -33,6 +33,7 @@ SIMULATORS: dict[tuple[str, str], AnySimulator] = {
     **{("transport", name): TransportSimulator(accuracy=accuracy) for name, accuracy in ACCURACIES.items()},
 }
 NAME = "simulate"
+_LARGEST_WEBER = 1e5  # a bubble of 11 cm
 _MOST_FRAMES, _LATEST = 1_000_000, 1000.0
 SUMMARY = "R(t) of one bubble in a gel"
 
@@ -60,6 +61,8 @@ def run(args: argparse.Namespace) -> None:
         raise InputDataError(f"--frames is {args.frames}; expected 2 to {_MOST_FRAMES}.")
     if not 0.0 < args.until < _LATEST:
         raise InputDataError(f"--until is {args.until}; expected a time in Rmax/U_c above 0 and below {_LATEST:g}.")
+    if not 0.0 < args.we <= _LARGEST_WEBER:
+        raise InputDataError(f"--we is {args.we}; expected We = p_inf Rmax/(2 gamma) above 0, at most {_LARGEST_WEBER:g}.")
     bubbles, statement = with_engine(SIMULATORS[args.physics, args.accuracy], args), statement_of(args)
     uncertain = [name for name, (_, sd) in statement.values.items() if sd is not None] if statement else []
     if uncertain:

@@ -3,15 +3,24 @@
 import math
 from typing import Any
 
+from torch import Tensor
+
+from imr_torch.assimilate.dense import dense_curve
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.ladder import Rung
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.report import all_parameters, cause_values, fit_of_cause, headline, next_step, parameter_shift, parameters
+from imr_torch.simulate import Simulator
 
 
-def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
+def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulator | None = None) -> dict[str, Any]:
     """The report as JSON-ready values; null for every part that was not run.
+
+    Args:
+        report: the diagnosis.
+        parts: what was run beside the verdict.
+        simulator: makes the bubbles of densely drawn curves; without it they are drawn at the frames.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -44,7 +53,7 @@ def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
         "parameter_shift": parameter_shift(report),
         "parameters": parameters(report),
         "tests": [vars(b) | {"power": None if math.isnan(b.power) else b.power} for b in report.gap.blocks],
-        "curves": curves_of(report),
+        "curves": curves_of(report, simulator),
         "noise": vars(report.batch.noise),
         "headline": headline(report),
         "next_step": next_step(report, parts),
@@ -54,9 +63,13 @@ def to_json(report: GapReport, parts: Parts | None = None) -> dict[str, Any]:
     }
 
 
-def curves_of(report: GapReport) -> list[dict[str, Any]]:
-    """Mean measured curves, the base model and the model with the cause (None where none is named), by experiment."""
+def curves_of(report: GapReport, simulator: Simulator | None = None) -> list[dict[str, Any]]:
+    """Mean measured curves, the base model and the model with the cause (None where none is named), by experiment.
+
+    With a simulator, ``drawn`` holds the curves of the models at 600 points.
+    """
     batch, after = report.batch, fit_of_cause(report)
+    dense = {} if simulator is None else dense_curves(report, simulator)
     noise = batch.sd(report.null.prediction) / batch.counts.sqrt()
     rows = []
     for e, experiment in enumerate(batch.experiments):
@@ -71,6 +84,7 @@ def curves_of(report: GapReport) -> list[dict[str, Any]]:
                 "sd": noise[e][seen].tolist(),
                 "base": report.null.prediction[e][seen].tolist(),
                 "with_cause": None if after is None else after.prediction[e][seen].tolist(),
+                "drawn": {name: _drawn(times[e], radius[e]) for name, (times, radius) in dense.items()},
             }
         )
     return rows
@@ -91,6 +105,23 @@ def _rung(rung: Rung) -> dict[str, Any]:
         "certificate": str(rung.fit.certificate),
         "parameters": all_parameters(rung.fit),
     }
+
+
+def dense_curves(report: GapReport, simulator: Simulator) -> dict[str, tuple[Tensor, Tensor]]:
+    """Curves of the base model and of the model with the cause, if one is named: by name, t* and R*, ``E x D`` tensors.
+
+    Args:
+        report: the diagnosis.
+        simulator: makes the bubbles.
+    """
+    fits = {"base": report.null, "with_cause": fit_of_cause(report)}
+    return {name: dense_curve(fit, report.batch, simulator) for name, fit in fits.items() if fit is not None}
+
+
+def _drawn(times: Tensor, radius: Tensor) -> dict[str, list[float | None]]:
+    """A curve for JSON, which has no NaN."""
+    rounded = [[round(x, 7) if math.isfinite(x) else None for x in values.tolist()] for values in (times, radius)]
+    return {"t_star": rounded[0], "R_star": rounded[1]}
 
 
 def _design(found: NextDesign) -> dict[str, Any]:

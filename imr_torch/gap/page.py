@@ -13,12 +13,14 @@ from matplotlib.figure import Figure
 
 from imr_torch.gap import plots
 from imr_torch.gap.diagnose import GapReport
+from imr_torch.gap.document import dense_curves
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.report import cause_values, fit_of_cause, headline, next_step, parameters, sections
 from imr_torch.gap.windows import MovingWindows
 from imr_torch.html import Block, Picture, Table, write
 from imr_torch.html import page as html_page
 from imr_torch.material import PARAMETERS
+from imr_torch.simulate import Simulator
 
 _CURVES = 6
 
@@ -39,6 +41,7 @@ def write_page(
     title: str = "Where does the model fail?",
     facts: Sequence[tuple[str, ...]] = (),
     footer: str = "",
+    simulator: Simulator | None = None,
 ) -> Path:
     """Write the page of a diagnosis.
 
@@ -49,6 +52,7 @@ def write_page(
         title: of the page.
         facts: names and values of where the result comes from (files, software, date), folded away at the end.
         footer: the same in one line.
+        simulator: makes the bubbles of densely drawn curves; without it they are drawn at the frames.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -64,7 +68,7 @@ def write_page(
     ...     "<title>Gel 7</title>" in write_page(report, Path(folder) / "gap.html", title="Gel 7").read_text()
     True
     """
-    return write(page(report, parts, title=title, facts=facts, footer=footer), path)
+    return write(page(report, parts, title=title, facts=facts, footer=footer, simulator=simulator), path)
 
 
 def page(
@@ -74,9 +78,10 @@ def page(
     title: str = "Where does the model fail?",
     facts: Sequence[tuple[str, ...]] = (),
     footer: str = "",
+    simulator: Simulator | None = None,
 ) -> str:
     """The page of a diagnosis as HTML; arguments as in :func:`write_page`."""
-    placed = _pictures(report, parts or Parts())
+    placed = _pictures(report, parts or Parts(), simulator)
     verdict, *others = sections(report, parts)
     curves = tuple(p.picture for p in placed if p.section == verdict.heading)
     blocks = [Block("The gel", (Table(_gel(report)),)), Block("The curves", curves)]
@@ -111,12 +116,12 @@ def _gel(report: GapReport) -> tuple[tuple[str, ...], ...]:
     return tuple(rows)
 
 
-def _pictures(report: GapReport, parts: Parts) -> list[Placed]:
+def _pictures(report: GapReport, parts: Parts, simulator: Simulator | None) -> list[Placed]:
     """Every figure that the parts allow, in the order of the page."""
     fit, batch, found = report.null, report.batch, report.attribution
     gap, where, causes = "Is there a gap?", "Where does it lie?", "Which effect causes it?"
     made = [
-        *_before_and_after(report),
+        *_before_and_after(report, simulator),
         _picture(
             gap,
             "Tests of the base model's residual: longer bars are smaller p; beyond the dashed line one test shows a gap.",
@@ -187,14 +192,15 @@ def _windows(found: MovingWindows) -> Figure:
     return figure
 
 
-def _before_and_after(report: GapReport) -> list[Placed]:
+def _before_and_after(report: GapReport, simulator: Simulator | None) -> list[Placed]:
     """Curves with their residuals below, one figure an experiment, up to six."""
     after = fit_of_cause(report)
-    made = []
+    dense = None if simulator is None else dense_curves(report, simulator)
+    prediction, made = after.prediction if after else None, []
     for number, experiment in enumerate(report.batch.experiments[:_CURVES]):
         figure, axes = plt.subplots(2, 1, figsize=(5.2, 4.4), height_ratios=[2, 1], sharex=True, layout="constrained")
-        for draw, ax in zip((plots.plot_curves, plots.plot_residuals), axes, strict=True):
-            draw(report.batch, number, report.null.prediction, after.prediction if after else None, ax=ax)
+        plots.plot_curves(report.batch, number, report.null.prediction, prediction, ax=axes[0], dense=dense)
+        plots.plot_residuals(report.batch, number, report.null.prediction, prediction, ax=axes[1])
         caption = f"{experiment.label}: measured, the base model" + (" and the model with the cause" if after else "")
         caption += "; below, residuals over the noise of the mean (grey: up to 2)."
         alt = f"Curves of {experiment.label}. {headline(report)}"

@@ -6,6 +6,7 @@ told apart by colour-blind readers, and what matters is also written.
 
 import itertools
 import math
+from collections.abc import Mapping
 
 import matplotlib
 
@@ -153,7 +154,13 @@ def plot_causes(posterior: dict[str, float], *, ax: Axes | None = None) -> Axes:
 
 
 def plot_curves(
-    batch: ExperimentBatch, number: int, base: Tensor, after: Tensor | None = None, *, ax: Axes | None = None
+    batch: ExperimentBatch,
+    number: int,
+    base: Tensor,
+    after: Tensor | None = None,
+    *,
+    ax: Axes | None = None,
+    dense: Mapping[str, tuple[Tensor, Tensor]] | None = None,
 ) -> Axes:
     """Mean measured curve of one experiment, the base model, and the model with the cause.
 
@@ -163,13 +170,18 @@ def plot_curves(
         base: ``E x T`` tensor, prediction of the base model.
         after: ``E x T`` tensor, prediction with the cause, if there is one.
         ax: where to draw.
+        dense: ``"base"`` and ``"with_cause"`` at more times than the frames, t* and R* as ``E x D`` tensors.
     """
     ax = _axes(ax)
     seen, times = batch.mask[number], batch.times[number]
     ax.plot(times[seen], batch.mean[number][seen], ".", ms=3, color=DATA, label="measured")
-    ax.plot(times[seen], base[number][seen], color=BASE, lw=1.5, ls="--", label="base model")
-    if after is not None:
-        ax.plot(times[seen], after[number][seen], color=AFTER, lw=1.2, label="with the cause")
+    for name, values, style, label in (
+        ("base", base, {"color": BASE, "lw": 1.5, "ls": "--"}, "base model"),
+        ("with_cause", after, {"color": AFTER, "lw": 1.2}, "with the cause"),
+    ):
+        if values is not None:
+            at, curve = (x[number] for x in dense[name]) if dense else (times[seen], values[number][seen])
+            ax.plot(at, curve, label=label, **style)
     ax.set(ylabel=R_STAR, ylim=(0.0, None))
     ax.set_title(plain(batch.experiments[number].label), fontsize=9)
     ax.legend(frameon=False, fontsize=7)

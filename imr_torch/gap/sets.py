@@ -46,6 +46,8 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
     """
     outer = surroundings or Surroundings()
     arrays = _arrays(Path(path))
+    if arrays["we"].ndim != 1 or not len(arrays["we"]):
+        raise InputDataError(f"{path}: we has shape {arrays['we'].shape}; expected a Weber number a design, of one at least.")
     for name, dimensions in _SHAPES.items():
         if arrays[name].ndim != dimensions or arrays[name].shape[0] != arrays["we"].shape[0]:
             raise InputDataError(
@@ -66,7 +68,11 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
             )
         kept = torch.isfinite(radius[:, seen]).any(1)
         radius = radius[kept]
-        experiments.append(Experiment(f"design {i}", (float(weber), float(rest)), times[seen], radius[:, seen], nuisance))
+        try:
+            found = Experiment(f"design {i}", (float(weber), float(rest)), times[seen], radius[:, seen], nuisance)
+        except InputDataError as error:
+            raise InputDataError(f"{path}: design {i}: {error}") from None
+        experiments.append(found)
         _check_units(f"{path}: design {i}", experiments[-1], size, outer.time_scale(size))
         check_experiment(experiments[-1], f"{path}: design {i}", remedy="the Weber numbers, and that time zero is the maximum")
     return experiments

@@ -236,6 +236,8 @@ def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
     mean = torch.tensor(entry["mean"], dtype=torch.float64)
     chol = torch.tensor(entry["chol"], dtype=torch.float64).reshape(len(mean), len(mean))
     marginals = tuple(marginal_from_dict(m) for m in entry["marginals"])
+    if not isinstance(entry["known"], Mapping) or not bool(torch.isfinite(chol).all()):
+        raise InputDataError(f"Saved belief of {entry['model']!r}: 'known' must be an object, and 'chol' finite.")
     part = ModelBelief(entry["model"], marginals, mean, chol, dict(entry["known"]))
     cloud = entry.get("cloud")
     if cloud is None:
@@ -415,6 +417,8 @@ class Belief:
             parts = tuple(_part_from_dict(entry) for entry in document["models"])
             logs = [-math.inf if v is None else float(v) for v in document["log_probabilities"]]
             log_probabilities = torch.tensor(logs, dtype=torch.float64)
+            if bool(torch.isposinf(log_probabilities).any()):
+                raise InputDataError("A log probability of the saved belief is infinite; expected 0 at most, or null for none.")
             belief = cls(parts, log_probabilities)
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             if isinstance(error, InputDataError):

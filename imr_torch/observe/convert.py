@@ -63,7 +63,8 @@ def to_experiment(
         rest_radius=min(math.hypot(sd / value, FLOOR.rest_radius), _WIDEST),
     )
     design = (surroundings.weber(top), value)
-    return Experiment(trace.experiment_id, design, times[kept], trace.radius_m[kept][None] / top, nuisance)
+    exposure = 0.0 if trace.given.exposure_s is None else trace.given.exposure_s / float(scale)
+    return Experiment(trace.experiment_id, design, times[kept], trace.radius_m[kept][None] / top, nuisance, exposure)
 
 
 def _rest(trace: RadiusTrace, landmarks: Landmarks, assumed: tuple[float, float] | None) -> tuple[float, float, str]:

@@ -107,7 +107,7 @@ class Distortion:
     Args:
         shifts: ``batch_shape x 1 x 3`` tensor, common to all experiments, as nuisances are to one.
         clock: see ``CLOCK``.
-        blur: see ``EXPOSURE_BLUR``.
+        blur: see ``EXPOSURE_BLUR``; ``batch_shape x E`` where the exposure of each experiment is known.
         refraction: see ``REFRACTION``.
         edge: see ``EDGE_ERROR``.
     """
@@ -119,13 +119,17 @@ class Distortion:
     edge: Tensor
 
     @classmethod
-    def of(cls, parameters: Tensor) -> "Distortion | None":
-        """The errors in ``batch_shape x p`` parameters; None where every one is neutral."""
+    def of(cls, parameters: Tensor, exposures: Tensor | None = None) -> "Distortion | None":
+        """The errors in ``batch_shape x p`` parameters, known ``exposures`` (``E``) added to the blur; None if all are 0."""
         names = (*_GEOMETRY, "clock", "exposure_blur", "refraction", "edge_error")
         columns = parameters[..., PARAMETERS.index(names)]
-        if not bool((columns != 0.0).any()):
+        known = exposures is not None and bool((exposures != 0.0).any())
+        if not known and not bool((columns != 0.0).any()):
             return None
-        return cls(columns[..., None, :3], *(column[..., None] for column in columns[..., 3:].unbind(-1)))
+        clock, blur, refraction, edge = (x[..., None] for x in columns[..., 3:].unbind(-1))
+        if exposures is not None and known:
+            blur = blur + exposures.to(blur)
+        return cls(columns[..., None, :3], clock, blur, refraction, edge)
 
     def shifts_of(self, designs: Tensor, max_radius: Tensor) -> tuple[Tensor, Tensor]:
         """Errors of the measured designs and times, and what the edge's error adds to the radius as filmed.

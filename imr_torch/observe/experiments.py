@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
-from imr_torch.observe.distortion import Distortion
+from imr_torch.observe.distortion import EXPOSURE_BLUR, Distortion
 from imr_torch.observe.noise import Noise, previous
 from imr_torch.observe.nuisance import Nuisance, displaced, impossible
 from imr_torch.simulate import EARLIEST, Simulator, check_designs
@@ -31,6 +31,7 @@ class Experiment:
         times: ``n_t`` tensor, dimensionless, from the maximum radius on.
         radius: ``n_repeats x n_t`` tensor, R/Rmax; NaN where a repeat lacks a frame that another has.
         nuisance: what is uncertain about the design and the clock.
+        exposure: known exposure of a frame over ``Rmax/U_c``, over which predictions are averaged; 0 for an instant.
 
     >>> import torch
     >>> from imr_torch.observe import Experiment
@@ -46,6 +47,7 @@ class Experiment:
     times: Tensor
     radius: Tensor
     nuisance: Nuisance = field(default_factory=Nuisance)
+    exposure: float = 0.0
 
     def __post_init__(self) -> None:
         if self.radius.ndim != 2 or self.times.ndim != 1 or self.radius.shape[1] != self.times.shape[0]:
@@ -68,6 +70,10 @@ class Experiment:
             frame = int(torch.nonzero(self.counts == 0)[0])
             raise InputDataError(
                 f"Experiment {self.label!r}: radius of frame {frame} is NaN in every repeat; leave it out of times and radius."
+            )
+        if not 0.0 <= self.exposure <= EXPOSURE_BLUR.upper:
+            raise InputDataError(
+                f"Experiment {self.label!r}: exposure is {self.exposure:g} of Rmax/U_c; expected 0 to {EXPOSURE_BLUR.upper:g}."
             )
         if bool((self.times[1:] <= self.times[:-1]).any()) or not bool(torch.isfinite(self.times).all()):
             raise InputDataError(f"Experiment {self.label!r}: times must be finite and increase.")
@@ -175,6 +181,11 @@ class ExperimentBatch:
         return torch.tensor([e.design for e in self.experiments], dtype=torch.float64)
 
     @cached_property
+    def exposures(self) -> Tensor:
+        """``E`` tensor, known exposure of a frame, dimensionless."""
+        return torch.tensor([e.exposure for e in self.experiments], dtype=torch.float64)
+
+    @cached_property
     def mask(self) -> Tensor:
         """``E x T`` boolean tensor: frames that exist."""
         return self._padded([torch.ones_like(e.times, dtype=torch.bool) for e in self.experiments], False)
@@ -279,7 +290,7 @@ def predict(
     [1.0, 0.846, 0.418]
     """
     designs, times, factor, beyond = film.designs, film.times if times is None else times, None, None
-    distortion = Distortion.of(parameters)
+    distortion = Distortion.of(parameters, film.exposures if isinstance(film, ExperimentBatch) else None)
     if distortion is not None:
         measured = simulator.conditions.surroundings.max_radius(designs[:, 0])
         errors, beyond = distortion.shifts_of(designs, measured)

@@ -78,6 +78,9 @@ def find_files(*paths: str | Path) -> list[Path]:
     ['a.csv', 'b.csv']
     """
     found: list[Path] = []
+    for name in paths:
+        if not str(name) or "\0" in str(name):
+            raise InputDataError(f"{str(name)!r} names no file or folder; give the name of one.")
     for path in map(Path, paths):
         if path.is_dir():
             inside = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith((".", "~$")))

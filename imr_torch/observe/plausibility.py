@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 import torch
+from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
@@ -39,6 +40,8 @@ REST_RADIUS = Range((0.02, 0.95), (0.07, 0.65))
 FIRST_COLLAPSE = Range((0.25, 3.0), (0.7, 1.4))
 LARGEST_RADIUS = Range((0.7, 1.1), (0.85, 1.05))
 STATED_OVER_SEEN = Range((0.75, 1.35), (0.95, 1.1))
+_LONGEST_EXPOSURE = 1.05  # of the time between frames
+_LEAST_CHANGE = 0.01  # of the largest radius
 _LATEST_MAXIMUM = 0.45  # t* of the largest frame
 _SHORTEST, _LONGEST = 0.1, 3.0  # t* that a record without a collapse may last
 _DENSE = 0.15  # t* between frames, within which no bubble falls by a quarter from its maximum
@@ -97,6 +100,43 @@ def check_experiment(experiment: Experiment, where: str, *, remedy: str = "") ->
     return tuple(cautions)
 
 
+def _check_rise(where: str, radius: Tensor, largest: int) -> None:
+    """Refuse a record that ends at its maximum, or whose radius stays the same."""
+    if largest == len(radius) - 1:
+        raise InputDataError(
+            f"{where}: the largest radius, {1e6 * float(radius[largest]):.4g} um, is that of the last frame, so the record "
+            "holds no collapse. Check the units of the times, and that radius and time are not exchanged."
+        )
+    if float(radius.amax() - radius.amin()) < _LEAST_CHANGE * float(radius[largest]):
+        raise InputDataError(
+            f"{where}: the radius stays within {100.0 * _LEAST_CHANGE:g} % of {1e6 * float(radius[largest]):.4g} um; expected "
+            "a bubble that collapses. Check which column holds the radii."
+        )
+
+
+def _check_stated(where: str, trace: RadiusTrace, landmarks: Landmarks, surroundings: Surroundings) -> None:
+    """Refuse standard deviations and a time of the maximum, stated by the laboratory, that cannot be meant."""
+    given, top = trace.given, landmarks.max_radius_m
+    for name, sd, largest in (("Rmax_sd_m", given.max_radius_sd_m, 0.5 * top), ("Rinf_sd_m", given.rest_radius_sd_m, top)):
+        if sd is not None and sd > largest:
+            raise InputDataError(
+                f"{where}: {name} is {1e6 * sd:.4g} um, and Rmax {1e6 * top:.4g} um; expected a standard deviation in metres, "
+                f"{1e6 * largest:.4g} um at most."
+            )
+    apart = float(trace.time_s.diff().median())
+    if given.exposure_s is not None and given.exposure_s > _LONGEST_EXPOSURE * apart:
+        raise InputDataError(
+            f"{where}: exposure_s is {1e6 * given.exposure_s:.4g} us, and frames are {1e6 * apart:.4g} us apart; expected the "
+            "exposure of one frame in seconds, no longer than that. Leave it out if it is not known."
+        )
+    stated, scale = given.time_of_max_s, float(surroundings.time_scale(top))
+    if stated is not None and abs(stated - landmarks.time_of_max_s) > _LATEST_MAXIMUM * scale:
+        raise InputDataError(
+            f"{where}: t_Rmax_s is {1e6 * stated:.4g} us, and the maximum radius of the frames is at "
+            f"{1e6 * landmarks.time_of_max_s:.4g} us. Give it in seconds on the time axis of the file, or leave it out."
+        )
+
+
 def check_maximum(trace: RadiusTrace, landmarks: Landmarks, surroundings: Surroundings) -> tuple[str, ...]:
     """Refuse a maximum that is a single frame beside others far smaller, or far from what the laboratory states.
 
@@ -122,6 +162,8 @@ def check_maximum(trace: RadiusTrace, landmarks: Landmarks, surroundings: Surrou
     where = f"{trace.source}: experiment '{trace.experiment_id}'"
     time, radius = trace.time_s, trace.radius_m
     k = int(radius.argmax())
+    _check_rise(where, radius, k)
+    _check_stated(where, trace, landmarks, surroundings)
     top, stated = float(radius[k]), trace.given.max_radius_m
     dense = 0 < k < len(radius) - 1 and float(time[k + 1] - time[k]) < _DENSE * surroundings.time_scale(top)
     if dense and max(float(radius[k - 1]), float(radius[k + 1])) < NEIGHBOUR * top:

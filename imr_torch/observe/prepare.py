@@ -43,18 +43,20 @@ class Prepared:
     assumed: bool
     cautions: tuple[str, ...]
 
-    def report(self) -> str:
-        """A line a curve: Rmax, R_inf*, We, how each was found, and which frames will be fitted; then the cautions."""
+    def report(self, *, frames: bool = True) -> str:
+        """A line a curve: Rmax, R_inf*, We, how each was found, and how many ``frames`` will be fitted; then the cautions."""
         lines = []
         for experiment in self.experiments:
             name, (weber, rest) = experiment.label, experiment.design
             marks, (count, before, after) = self.landmarks[name], self.frames[name]
             found, first = "assumed" if self.assumed else marks.rest_method, self.first_collapses[name]
+            blur = f", averaged over exposures of t* = {experiment.exposure:.3g}" * (experiment.exposure > 0.0)
             collapse = "no collapse in the record" if math.isinf(first) else f"first collapse at t* = {first:.2f}"
+            used = f"; {len(experiment.times)} of {count} frames are fitted"
+            used += f" ({before} before the maximum, {after} after the window)"
             lines.append(
                 f"  {name}: Rmax {1e6 * marks.max_radius_m:.4g} um ({marks.max_method}), R_inf/Rmax {rest:.3f} ({found}), "
-                f"We {weber:.0f}, {collapse}; {len(experiment.times)} of {count} frames are fitted "
-                f"({before} before the maximum, {after} after the window)"
+                f"We {weber:.0f}, {collapse}{blur}{used * frames}"
             )
         lines.insert(0, f"Curves as they are fitted (an empty cavity collapses at t* = {RAYLEIGH_TIME}):")
         return "\n".join([*lines, *(f"  Caution: {text}" for text in self.cautions)])

@@ -7,7 +7,8 @@ Fields, all optional, at the top for all curves, or in an entry of ``experiments
      "experiments": [{"experiment_id": "shot_1", "Rmax_m": 2.5e-4, "Rmax_sd_m": 1e-6, "t_Rmax_s": 0.0,
                       "Rinf_m": 4.3e-5, "Rinf_sd_m": 4e-7, "Rinf_settled": true}]}
 
-``Rinf_sd_m`` states R_inf with its standard deviation; ``Rinf_tail_std_m`` is the scatter of the end of the record.
+``exposure_s`` is how long a frame is exposed: predicted radii are averaged over it. ``Rinf_sd_m`` states R_inf with its
+standard deviation; ``Rinf_tail_std_m`` is the scatter of the end of the record.
 ``material`` is read as ``medium``. A ``medium`` at the top that is an object states properties, with or without a standard
 deviation: ``{"name": "water", "temperature": 310, "density": [1125, 11]}`` (:mod:`imr_torch.observe.medium`).
 Other fields are left alone. A file with one curve may have its values at the top.
@@ -21,8 +22,9 @@ from typing import Any
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_json
 from imr_torch.observe.headers import Said, unit_of
+from imr_torch.observe.layout import LENGTHS, TIMES
 from imr_torch.observe.medium import Statement
-from imr_torch.observe.traces import Given, TraceSet
+from imr_torch.observe.traces import Given, RadiusTrace, TraceSet
 
 _NUMBERS = {
     "Rmax_m": "max_radius_m",
@@ -35,7 +37,9 @@ _NUMBERS = {
     "pixel_size_m": "pixel_size_m",
     "exposure_s": "exposure_s",
 }
+_REMARKS = ("frame_rate_fps", "pixel_size_m")  # may be a text, such as "about 4e5, uneven", which is left alone
 _OF_ALL = ("frame_rate_fps", "pixel_size_m", "exposure_s")
+_RATE_TOLERANCE = 0.05
 _EXPECTED = "expected JSON with a list 'experiments' of entries with experiment_id, Rmax_m, Rinf_m, ..."
 
 
@@ -109,13 +113,13 @@ class Sidecar:
         if value is None:
             return None
         unit = unit_of(value) if isinstance(value, str) else None
-        if unit is None:
+        if unit not in (TIMES if name == "time_unit" else (*LENGTHS, "px", "dimensionless")):
             raise self._unusable(f"{name} is {value!r}; write s, ms, us, frames for times and m, mm, um, px for radii")
         return unit
 
     def _number(self, entry: dict[str, Any], name: str, where: str) -> float | None:
         value = entry.get(name)
-        if value is None or (entry is self.top and isinstance(value, str)):  # a remark, such as "about 4e5, uneven"
+        if value is None or (name in _REMARKS and isinstance(value, str)):
             return None
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self._unusable(f"{name} of {where} is {value!r}; expected a number in SI units, or null")
@@ -154,12 +158,23 @@ class Sidecar:
             notes.append(f"{self.path}: gives the laboratory's values for {len(described)} of {len(traces)} experiments.")
         elif alone:
             notes.append(f"{self.path}: gives the laboratory's values.")
+        notes += [text for trace in new if (text := self._rate(trace))]
         known = set(described) | {x.experiment_id for x in traces.left_out}
         extra = [name for name in self.entries if name not in known]
         if extra:
             listed = ", ".join(extra[:5])
             notes.append(f"{self.path}: describes {len(extra)} experiment(s) that {self.file.name} does not hold: {listed}.")
         return TraceSet(new, traces.left_out, (*traces.notes, *notes))
+
+    def _rate(self, trace: RadiusTrace) -> str:
+        """What is to be said of a frame rate that is not that of the frames."""
+        rate, interval = trace.given.frame_rate_hz, float(trace.time_s.diff().median())
+        if rate is None or abs(rate * interval - 1.0) <= _RATE_TOLERANCE:
+            return ""
+        return (
+            f"{self.path}: frame_rate_fps is {rate:g} and the frames of '{trace.experiment_id}' are {1e6 * interval:.4g} us "
+            f"apart, which is {1.0 / interval:.4g} per second; the times of the file are used. Correct the one that is wrong."
+        )
 
 
 def _merged(own: Given, beside: Given) -> Given:

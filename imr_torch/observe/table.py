@@ -59,6 +59,8 @@ class Table:
         """A column as float64, NaN where a cell is empty; None if a cell is no number."""
         k = self.columns.index(name)
         texts = [row[k] or "nan" for row in self.cells]
+        if not all(map(str.isascii, texts)) or any("_" in text for text in texts):
+            return None
         try:
             return np.array(list(map(float, texts)))
         except ValueError:
@@ -83,7 +85,7 @@ def _is_number(cell: str) -> bool:
         float(cell)
     except ValueError:
         return False
-    return True
+    return cell.isascii() and "_" not in cell  # Python reads 1_0 and digits of other scripts as numbers too
 
 
 def shown(cell: str) -> str:

@@ -2,16 +2,14 @@
 
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.assimilate.dense import dense_curve
 from imr_torch.characterize import LEVELS, Characterization, predictive_band
-from imr_torch.observe import ExperimentBatch, TraceSet, predict
+from imr_torch.observe import ExperimentBatch, TraceSet
 from imr_torch.simulate import Simulator
 
-_UNIFORM = 200  # points of a drawn curve that lie evenly in time
-_ALONG = (200, 200)  # those added evenly along the curve found so far, which a collapse needs
 _ROUND = 7  # digits of what is only drawn
 
 
@@ -97,36 +95,6 @@ def characterization_document(
         "notes": list(traces.notes),
         "curves": curves,
     }
-
-
-def dense_curve(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> tuple[Tensor, Tensor]:
-    """The fitted curve at so many times that a collapse is drawn round: two ``E x D`` tensors, t* and R/Rmax.
-
-    Args:
-        fit: the fit.
-        batch: its data.
-        simulator: makes the bubbles.
-    """
-    last = torch.where(batch.mask, batch.times, 0.0).amax(1, keepdim=True)
-    first = batch.times[:, :1].clamp_max(0.0)
-    times = first + (last - first) * torch.linspace(0.0, 1.0, _UNIFORM, dtype=torch.float64)
-    parameters, shifts = fit.parameters(fit.mean), fit.nuisances * batch.nuisance_sds
-    for added in _ALONG:
-        curve = predict(simulator, parameters, batch, shifts, times=times)
-        times = torch.cat((times, _along(times, curve, added)), 1).sort(1).values
-        times = times + 1e-9 * torch.arange(times.shape[1], dtype=torch.float64)  # strictly increasing
-    return times, predict(simulator, parameters, batch, shifts, times=times)
-
-
-def _along(times: Tensor, curve: Tensor, count: int) -> Tensor:
-    """Times of points evenly along the polygon of a curve, in a frame as wide as the record and as high as Rmax."""
-    length = torch.hypot(times.diff(dim=1) / (times[:, -1:] - times[:, :1]), curve.diff(dim=1).nan_to_num()).cumsum(1)
-    length = torch.nn.functional.pad(length, (1, 0))
-    wanted = length[:, -1:] * torch.linspace(0.0, 1.0, count + 2, dtype=torch.float64)[1:-1]
-    right = torch.searchsorted(length, wanted.contiguous()).clamp(1, times.shape[1] - 1)
-    low, high = length.gather(1, right - 1), length.gather(1, right)
-    weight = ((wanted - low) / (high - low).clamp_min(1e-300)).clamp(0.0, 1.0)
-    return times.gather(1, right - 1) * (1.0 - weight) + times.gather(1, right) * weight
 
 
 def _model(fit: ModelFit, batch: ExperimentBatch, e: int, drawn: tuple[Tensor, Tensor]) -> dict[str, Any]:

@@ -5,8 +5,7 @@ that one that fails costs no other. Frames that were not fitted are pale.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -32,40 +31,20 @@ from imr_torch.plot import (
     plot_probabilities,
     with_lengths,
 )
+from imr_torch.results.campaign_figures import campaign_figures
+from imr_torch.results.named import NamedFigure, figure_of
+from imr_torch.results.whole import check_characterization
 
 _FARTHER = 2.0  # fitted windows that a figure shows of a record
 _OTHERS = 0.02  # probability from which on the curve of another model is drawn
 _LAGS = 20
-_Maker = Callable[[], Figure]
-
-
-@dataclass(frozen=True)
-class NamedFigure:
-    """A figure to be drawn.
-
-    Args:
-        name: of its file, without an extension.
-        caption: what it shows.
-        alt: the same for who cannot see it, with what is to be seen.
-        draw: draws it; may fail.
-
-    >>> from matplotlib.figure import Figure
-    >>> from imr_torch.results import NamedFigure
-    >>> NamedFigure("curve_a", "Radius.", "Line chart.", Figure).name
-    'curve_a'
-    """
-
-    name: str
-    caption: str
-    alt: str
-    draw: _Maker
 
 
 def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
     """The figures of a result document.
 
     Args:
-        document: of ``characterize``, ``diagnose``, ``design`` or ``simulate``.
+        document: of ``characterize``, ``diagnose``, ``design``, ``campaign`` or ``simulate``.
 
     Raises:
         InputDataError: for a document that holds nothing to draw.
@@ -75,7 +54,10 @@ def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
     >>> [figure.name for figure in draw_figures(header("simulate") | curve)]
     ['radius']
     """
-    if "curves" in document and "belief" in document:
+    if "history" in document and "searches" in document:
+        return list(campaign_figures(document))
+    if document.get("schema", {}).get("name") == "imr_torch characterize" or ("curves" in document and "belief" in document):
+        check_characterization(document)
         return list(_of_characterization(document))
     if "curves" in document and "verdict" in document:
         return list(_of_diagnosis(document))
@@ -86,7 +68,7 @@ def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
     name = document.get("schema", {}).get("name", "without a schema")
     raise InputDataError(
         f"The document ({name}) holds no curves or map to draw; figures are drawn from results of characterize, diagnose, "
-        "design and simulate."
+        "design, campaign and simulate."
     )
 
 
@@ -115,7 +97,7 @@ def _of_characterization(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             f"parameter_{name}",
             f"Density of {name} before and after the data.",
             f"Line chart of the densities of {name}.",
-            lambda name=name: _of_axes(plot_parameter((("prior", prior[best]), ("posterior", belief[best])), name)),
+            lambda name=name: figure_of(plot_parameter((("prior", prior[best]), ("posterior", belief[best])), name)),
         )
     if len(names) > 1:
         yield NamedFigure(
@@ -130,7 +112,7 @@ def _of_characterization(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             "models",
             "Probability of each model before and after the data.",
             "Bar chart of model probabilities.",
-            lambda: _of_axes(plot_probabilities(beliefs)),
+            lambda: figure_of(plot_probabilities(beliefs)),
         )
 
 
@@ -149,14 +131,14 @@ def _of_diagnosis(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
         "tests",
         "Tests of the base model's residual.",
         f"Bar chart of {len(blocks)} tests.",
-        lambda: _of_axes(plot_scores(GapTest(document["p_gap"], blocks, document["bias_sigma"], 0.0))),
+        lambda: figure_of(plot_scores(GapTest(document["p_gap"], blocks, document["bias_sigma"], 0.0))),
     )
     if document["posterior"]:
         yield NamedFigure(
             "causes",
             "Probability of each cause.",
             "Bar chart of probabilities.",
-            lambda: _of_axes(plot_causes(document["posterior"])),
+            lambda: figure_of(plot_causes(document["posterior"])),
         )
 
 
@@ -168,7 +150,8 @@ def diagnosis_figure(curve: Mapping[str, Any]) -> Figure:
     below.axhspan(-2.0, 2.0, color="#E2E2E2", lw=0)
     for name, label, color, style in (("base", "base model", SECOND, "--"), ("with_cause", "with the cause", MODEL, "-")):
         if curve[name] is not None:
-            ax.plot(t, _floats(curve[name]), color=color, ls=style, lw=1.3, label=label)
+            drawn = curve.get("drawn", {}).get(name, {"t_star": curve["t_star"], "R_star": curve[name]})
+            ax.plot(_floats(drawn["t_star"]), _floats(drawn["R_star"]), color=color, ls=style, lw=1.3, label=label)
             below.plot(t, (r - _floats(curve[name])) / sd, color=color, ls=style, lw=1.2)
     ax.set(ylabel=R_STAR, ylim=(0.0, None))
     ax.set_title(plain(curve["id"]), fontsize=10)
@@ -184,14 +167,8 @@ def _of_design(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             "information" if number == 1 else f"information_{number}",
             "Expected information gain over designs; dots: evaluated, star: chosen.",
             f"Map; the star is at We {step['design']['We']:.0f}, R_inf* {step['design']['R_inf*']:.3f}.",
-            lambda step=step: _of_axes(draw_information(step["map"], step["evaluations"], step["design"])),
+            lambda step=step: figure_of(draw_information(step["map"], step["evaluations"], step["design"])),
         )
-
-
-def _of_axes(ax: Axes) -> Figure:
-    figure = ax.figure
-    assert isinstance(figure, Figure)
-    return figure
 
 
 def radius_figure(document: Mapping[str, Any]) -> Figure:

@@ -1,7 +1,6 @@
 """What every result document says of itself: schema, software, date, command, files with their hashes, medium and units."""
 
 import hashlib
-import json
 import platform
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -12,6 +11,7 @@ from typing import Any
 import torch
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_json
 from imr_torch.observe import GelMedium
 from imr_torch.units import Surroundings
 
@@ -99,10 +99,7 @@ def read_document(path: str | Path) -> dict[str, Any]:
     ...     read_document(Path(folder) / "result.json")["schema"]["name"]
     'imr_torch design'
     """
-    try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputDataError(f"{path}: cannot be read as a JSON result ({error}); give a file that --json wrote.") from None
+    document = read_json(path, expected="expected a result that --json or --out wrote")
     check_document(document, str(path))
     return document
 

@@ -1,13 +1,14 @@
 """The page of a characterisation, drawn from its document alone: the gel, what was assumed, figures, then details."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import matplotlib.pyplot as plt
 
 from imr_torch.html import Block, Picture, Preformatted, Table, page
 from imr_torch.material import PARAMETERS, material
-from imr_torch.results.figures import NamedFigure, draw_figures
+from imr_torch.results.figures import draw_figures
+from imr_torch.results.named import NamedFigure
 
 _FIGURES = 12  # shown at once; the others are folded away
 _IMPROBABLE = 0.001
@@ -48,12 +49,7 @@ def characterization_page(document: Mapping[str, Any], *, title: str = "", repor
         Block("The gel", (gel_table(document, best),)),
         Block("What was assumed", (_assumed(document, best),)),
     ]
-    failed, pictures = [], []
-    for figure in draw_figures(document):
-        try:
-            pictures.append(Picture(figure.caption, figure.alt, figure.draw()))
-        except Exception as error:  # a figure that fails costs the page nothing else
-            failed.append(_not_drawn(figure, error))
+    pictures, failed = pictures_of(draw_figures(document))
     blocks.append(Block("Figures", (*pictures[:_FIGURES], *failed)))
     if pictures[_FIGURES:]:
         blocks.append(Block(f"{len(pictures) - _FIGURES} more figures", tuple(pictures[_FIGURES:]), folded=True))
@@ -83,6 +79,17 @@ def characterization_page(document: Mapping[str, Any], *, title: str = "", repor
     return text
 
 
+def pictures_of(figures: Iterable[NamedFigure]) -> tuple[list[Picture], list[str]]:
+    """Figures as pictures of a page, and a sentence for each that could not be drawn."""
+    pictures, failed = [], []
+    for figure in figures:
+        try:
+            pictures.append(Picture(figure.caption, figure.alt, figure.draw()))
+        except Exception as error:  # a figure that fails costs the page nothing else
+            failed.append(_not_drawn(figure, error))
+    return pictures, failed
+
+
 def _not_drawn(figure: NamedFigure, error: Exception) -> str:
     return f"The figure {figure.name} could not be drawn ({type(error).__name__}: {error}); its numbers are in the JSON."
 
@@ -100,16 +107,26 @@ def gel_table(document: Mapping[str, Any], best: str) -> Table:
 def _assumed(document: Mapping[str, Any], best: str) -> Table:
     fitted = sum(c["frames"]["fitted"] for c in document["curves"])
     recorded = sum(c["frames"]["recorded"] for c in document["curves"])
-    noise = document["noise"]
     rows = [
         ("Curves", f"{len(document['curves'])}, taken to be of one gel: {fitted} of {recorded} frames were fitted"),
+        ("Rmax, time zero, R_inf", "measured from each curve, and uncertain in the fit"),
+    ]
+    if blurred := [e for e in document["experiments"] if e.get("exposure_t_star")]:
+        longest = max(e["exposure_t_star"] for e in blurred)
+        rows.append(("Exposure", f"as stated for {len(blurred)} curve(s): radii are averaged over up to t* = {longest:.3g}"))
+    return Table((*rows, *setting_rows(document, best)))
+
+
+def setting_rows(document: Mapping[str, Any], best: str) -> list[tuple[str, str]]:
+    """What every fit assumes: bubble, noise, what is known of the model ``best``, medium, software."""
+    noise = document["noise"]
+    rows = [
         ("Bubble", _PHYSICS.get(document.get("physics", ""), "as the simulator that was given makes it")),
         (
             "Noise",
             f"{noise['scale']:.2f} x the published law with {noise['scale'] * noise['floor']:.4f} in R* everywhere, "
             + (f"correlated over {noise['correlation_time']:g} in t*" if noise["correlation_time"] else "independent frames"),
         ),
-        ("Rmax, time zero, R_inf", "measured from each curve, and uncertain in the fit"),
     ]
     known = next((part.get("known") for part in document["belief"]["models"] if part.get("model") == best), None)
     if known:
@@ -119,7 +136,7 @@ def _assumed(document: Mapping[str, Any], best: str) -> Table:
     rows += assumed_rows(document)
     if "software" in document:
         rows.append(("Made by", footer(document)))
-    return Table(tuple(rows))
+    return rows
 
 
 _PHYSICS = {

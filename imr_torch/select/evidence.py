@@ -4,11 +4,14 @@
 :func:`imr_torch.assimilate.weigh` has weighed by the exact posterior; the same draws give moments and verdict.
 """
 
+import math
 from dataclasses import dataclass
 
-from imr_torch.assimilate import Assimilation, ModelFit
+from imr_torch.assimilate import Assimilation, ImportanceSample, ModelFit, Verdict
 from imr_torch.assimilate.importance import reliable
 from imr_torch.errors import InputDataError
+
+_UNKNOWN = 100.0  # nats, of a divergence that cannot be computed
 
 
 @dataclass(frozen=True)
@@ -73,12 +76,24 @@ def log_evidence(fit: ModelFit) -> Evidence:
     return Evidence(
         fit.model,
         sample.log_evidence,
-        sample.log_evidence_error,
+        _error(fit, sample),
         sample.effective_samples,
         len(sample),
         sample.failed,
         sample.pareto_k,
     )
+
+
+def _error(fit: ModelFit, sample: ImportanceSample) -> float:
+    """Standard error of a log evidence, nats.
+
+    Where the moments found are not those that the proposal was made for, draws may lack a part of the posterior, and their
+    weights do not show it: the divergence between the two is added.
+    """
+    if fit.verdict is not Verdict.REFUSED:
+        return sample.log_evidence_error
+    missed = sample.surprise if math.isfinite(sample.surprise) else _UNKNOWN
+    return math.hypot(sample.doubtful_error, max(missed, 0.0))
 
 
 def evidences(assimilation: Assimilation) -> tuple[Evidence, ...]:

@@ -68,6 +68,7 @@ def probability_errors(prior: Belief, evidence: Sequence[Evidence]) -> dict[str,
     after = torch.softmax(prior.log_probabilities + values[:, 0], dim=0)
     slopes = after[:, None] * (torch.eye(len(after), dtype=torch.float64) - after)
     errors = (slopes.square() @ values[:, 1].square()).sqrt()
+    errors = errors.minimum(torch.maximum(after, 1.0 - after))  # a probability cannot be farther off
     return dict(zip(prior.keys, errors.tolist(), strict=True))
 
 

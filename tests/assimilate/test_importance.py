@@ -184,3 +184,27 @@ def test_that_resampling_takes_each_draw_in_proportion_to_its_weight() -> None:
     counts = torch.bincount(chosen, minlength=len(sample))
     assert bool(((counts - 5000 * sample.weights).abs() <= 1.0 + 1e-9).all())
     assert not torch.equal(chosen, chosen.sort().values)
+
+
+@pytest.mark.parametrize(("variance", "size"), [(0.2, 1), (0.1, 1), (0.3, 3), (0.2, 3)])
+def test_that_the_error_of_an_evidence_whose_draws_are_not_reliable_covers_it(variance, size):
+    """Proposals narrower than the posterior: log evidence 0, mostly missed from below, which the spread of weights hides."""
+    count, within, plain = 256, [], []
+    for seed in range(60):
+        source = torch.Generator().manual_seed(seed)
+        draws = math.sqrt(variance) * torch.randn(count, size, generator=source, dtype=torch.float64)
+        log_target = -0.5 * (draws.square() + math.log(2.0 * math.pi)).sum(1)
+        log_proposal = -0.5 * (draws.square() / variance + math.log(2.0 * math.pi * variance)).sum(1)
+        zero, still = torch.zeros(count, dtype=torch.float64), torch.zeros(count, 1, 3)
+        sample = ImportanceSample(
+            draws, log_target, zero[:, None], log_proposal, still, torch.zeros(size), torch.eye(size), first_shape=0.0, rounds=1
+        )
+        spread = float(count * sample.weights.std() / math.sqrt(count))
+        if sample.reliable:
+            assert sample.log_evidence_error == spread
+            continue
+        within.append(abs(sample.log_evidence) < 2.0 * sample.log_evidence_error)
+        plain.append(abs(sample.log_evidence) < 2.0 * spread)
+    assert len(within) > 25
+    assert sum(within) > 0.95 * len(within)
+    assert sum(plain) < 0.8 * len(plain)

@@ -95,3 +95,15 @@ def test_a_bad_rule_is_refused_by_name(text, message):
 def test_all_of_nothing_is_refused():
     with pytest.raises(InputDataError, match=r"AllOf.rules is empty; it would stop at once"):
         AllOf(())
+
+
+def test_that_a_forgotten_experiment_is_spent_and_is_no_datum():
+    now = standing(repeats=(1, 1, 1))
+    one_lost = Standing(now.belief, now.experiments[:2], None, now.experiments[2:])
+    assert Budget(3.5).reason(one_lost) == "3 of the budget of 3.5 are spent, 1 of these on experiments that were forgotten"
+    assert Budget(4.0).reason(one_lost) is None
+    assert Designs(3).reason(one_lost) is None
+    assert Designs(2).reason(one_lost) == "2 designs were shot, besides 1 that were forgotten"
+    all_lost = Standing(now.belief, (), None, now.experiments)
+    assert Budget(3.5).reason(all_lost) is not None
+    assert Designs(1).reason(all_lost) is None

@@ -8,8 +8,10 @@ import torch
 
 from imr_torch.assimilate import PublishedOptions, SearchOptions
 from imr_torch.campaign import (
+    Budget,
     Campaign,
     CampaignSettings,
+    Designs,
     ExactLearner,
     Fixed,
     Journal,
@@ -328,3 +330,24 @@ def test_that_numbers_of_experiments_are_in_the_journal(tmp_path):
     assert [record["number"] for record in journal.find("observed")["experiments"]] == [1, 2]
     assert journal.find("forget") == {"event": "forget", "experiment": 1}
     assert journal.find("learnt")["experiments"] == [2]
+
+
+def test_that_a_budget_that_was_spent_on_a_forgotten_curve_stays_spent(tmp_path):
+    run = campaign(tmp_path, stop=Budget(3.0))
+    run.tell(CURVES[0])
+    run.tell(CURVES[1])
+    assert run.reason_to_stop() is None
+    run.forget(2)
+    assert [e.label for e in run.forgotten] == [CURVES[1].label]
+    run.tell(CURVES[2])
+    for again in (run, campaign(tmp_path, stop=Budget(3.0))):
+        assert again.reason_to_stop() == "3 of the budget of 3 are spent, 1 of these on experiments that were forgotten"
+    run.tell(CURVES[1])  # the same curve: one shot
+    for again in (run, campaign(tmp_path, stop=Budget(3.0))):
+        assert again.forgotten == ()
+        assert again.reason_to_stop() == "3 of the budget of 3 are spent"
+    designs = campaign(tmp_path / "designs", stop=Designs(2))
+    designs.tell(CURVES[0])
+    designs.tell(CURVES[1])
+    designs.forget(1)
+    assert designs.reason_to_stop() is None

@@ -124,7 +124,7 @@ def test_that_a_document_of_another_kind_or_version_is_refused(document, message
 @pytest.mark.parametrize("text", ["{", "\x00", ""])
 def test_that_a_file_that_is_no_json_is_refused(text, tmp_path):
     (tmp_path / "bad.json").write_text(text)
-    with pytest.raises(InputDataError, match=r"bad\.json: cannot be read as a JSON result"):
+    with pytest.raises(InputDataError, match=r"bad\.json: cannot be used"):
         read_document(tmp_path / "bad.json")
 
 

@@ -2,11 +2,12 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
 
-from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, assimilate, weigh
+from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, Verdict, assimilate, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Nuisance
@@ -202,3 +203,22 @@ def test_that_stated_errors_of_probabilities_are_their_scatter_over_seeds() -> N
     values = tensor(*[update(fit, run).probabilities["nhkv"] for run in runs])
     errors = tensor(*[probability_errors(fit.prior, run)["nhkv"] for run in runs])
     assert float(values.std()) == pytest.approx(float(errors.square().mean().sqrt()), rel=0.3)
+
+
+def test_that_the_error_of_a_refused_model_holds_what_its_draws_may_lack():
+    sample = SimpleNamespace(
+        log_evidence=0.0,
+        log_evidence_error=0.1,
+        doubtful_error=0.3,
+        surprise=0.4,
+        effective_samples=64.0,
+        failed=0,
+        pareto_k=0.54,
+    )
+    sized = type("Sample", (SimpleNamespace,), {"__len__": lambda self: 256})(**vars(sample))
+    fit = SimpleNamespace(model="nhkv", sample=sized, verdict=Verdict.REPAIRED)
+    assert log_evidence(fit).error == 0.1
+    fit.verdict = Verdict.REFUSED
+    assert log_evidence(fit).error == pytest.approx(0.5)
+    sized.surprise = float("nan")
+    assert log_evidence(fit).error > 50.0

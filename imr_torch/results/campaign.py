@@ -1,0 +1,118 @@
+"""The document of a campaign: its state as numbers, and what its figures and its page are drawn from again."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from imr_torch.campaign import Campaign, Proposal
+from imr_torch.characterize import LEVELS, intervals, predictive_band
+from imr_torch.material import Belief
+from imr_torch.plot import information_map
+
+_ROUND = 7  # digits of what is only drawn
+_REPEATS = 12  # curves of one experiment that are drawn
+
+
+def campaign_document(
+    campaign: Campaign, *, proposals: Sequence[Proposal] = (), stopped: str | None = None, truth: dict[str, float] | None = None
+) -> dict[str, Any]:
+    """JSON-ready state of a campaign.
+
+    Args:
+        campaign: the campaign.
+        proposals: what to shoot next.
+        stopped: why it should end, if it should.
+        truth: parameters of a gel that is known because it is simulated, SI.
+
+    >>> import tempfile
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.campaign import Campaign
+    >>> from imr_torch.results.campaign import campaign_document
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     campaign = Campaign(folder, reference_case("soft-pa").prior, PolytropicSimulator())
+    ...     campaign_document(campaign)["history"][0]["label"]
+    'prior'
+    """
+    belief, noise = campaign.belief, campaign.plan.noise
+    history = [("prior", campaign.prior), *((f"after {step.number}", step.belief) for step in campaign.steps)]
+    return {
+        "designs": [list(e.design) for e in campaign.experiments],
+        "experiments": campaign.numbers,
+        "labels": [e.label for e in campaign.experiments],
+        "forgotten": len(campaign.forgotten),
+        "relative_error": {},
+        "model_probabilities": belief.probabilities,
+        "intervals": {part.model: intervals(part) for part in belief.models},
+        "noise": vars(noise),
+        "belief": belief.to_dict(),
+        "history": [{"label": label, "belief": _without_cloud(step)} for label, step in history],
+        "truth": truth,
+        "proposals": [_proposal(campaign, proposal) for proposal in proposals],
+        "stopped": stopped,
+        "searches": _searches(campaign),
+        "curves": _curves(campaign),
+    }
+
+
+def _without_cloud(belief: Belief) -> dict[str, Any]:
+    """A belief as JSON without its draws, which its densities do not need."""
+    document = belief.to_dict()
+    return document | {"models": [{k: v for k, v in part.items() if k != "cloud"} for part in document["models"]]}
+
+
+def _design(campaign: Campaign, weber: float, rest: float) -> dict[str, float]:
+    size = campaign.simulator.conditions.surroundings.max_radius(weber)
+    return {"We": weber, "R_inf*": rest, "Rmax_m": float(size), "R_inf_m": rest * float(size)}
+
+
+def _proposal(campaign: Campaign, proposal: Proposal) -> dict[str, Any]:
+    weber, rest = proposal.design.tolist()
+    return {"step": proposal.step, "gain": proposal.gain, "gain_sd": proposal.gain_sd} | _design(campaign, weber, rest)
+
+
+def _searches(campaign: Campaign) -> list[dict[str, Any]]:
+    """Map, evaluated designs and chosen design of each step that was searched for."""
+    found = []
+    for number in range(1, campaign.told + 2):
+        search = campaign.search(number)
+        if search is not None:
+            weber, rest = search.recommendation.design.tolist()
+            evaluated = [{"We": float(we), "R_inf*": float(r)} for we, r in search.designs]
+            chosen = _design(campaign, weber, rest)
+            found.append({"step": number, "map": information_map(search), "evaluations": evaluated, "design": chosen})
+    return found
+
+
+def _curves(campaign: Campaign) -> list[dict[str, Any]]:
+    """Curves of each experiment with the predictive band of the best model, where the last step was made in this run."""
+    last, best = (campaign.steps[-1] if campaign.steps else None), campaign.belief.best.model
+    if last is None or last.assimilation is None:
+        return []
+    outer, band = (
+        campaign.simulator.conditions.surroundings,
+        predictive_band(last.assimilation, last.belief, campaign.simulator, best),
+    )
+    found = []
+    for e, (number, experiment) in enumerate(zip(campaign.numbers, last.assimilation.batch.experiments, strict=True)):
+        size, count = float(outer.max_radius(experiment.design[0])), len(experiment.times)
+        found.append(
+            {
+                "number": number,
+                "id": experiment.label,
+                "We": experiment.design[0],
+                "R_inf*": experiment.design[1],
+                "Rmax_m": size,
+                "time_scale_s": float(outer.time_scale(size)),
+                "t_star": experiment.times.tolist(),
+                "R_star": [_rounded(row) for row in experiment.radius[:_REPEATS]],
+                "repeats": experiment.repeats,
+                "band": {"model": best, "levels": LEVELS}
+                | {name: _rounded(values[e][:count]) for name, values in zip(("low", "median", "high"), band, strict=True)},
+            }
+        )
+    return found
+
+
+def _rounded(values: Any) -> list[float | None]:
+    """Numbers for JSON, which has no NaN."""
+    return [round(x, _ROUND) if abs(x) < float("inf") else None for x in values.tolist()]

@@ -1,0 +1,97 @@
+"""A known exposure: predictions are averaged over it, by the effect that a diagnosis would name, at its stated value."""
+
+import json
+
+import pytest
+import torch
+
+from imr_torch import PolytropicSimulator, characterize, load_traces, wide_prior
+from imr_torch.assimilate import SearchOptions
+from imr_torch.campaign import Journal
+from imr_torch.errors import InputDataError
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import Experiment, ExperimentBatch, RadiusTrace, TraceSet, predict, prepare
+from imr_torch.observe.traces import Given
+from imr_torch.units import Surroundings
+
+SIMULATOR, SIZE, OUTER = PolytropicSimulator(), 221e-6, Surroundings()
+SCALE = float(OUTER.time_scale(SIZE))
+TIMES = torch.linspace(0.05, 2.2, 44, dtype=torch.float64)
+GEL = {"G": 8310.0, "mu": 0.093}
+
+
+def film(exposure: float) -> ExperimentBatch:
+    return ExperimentBatch((Experiment("a", (200.0, 0.2), TIMES, torch.ones(1, len(TIMES)).double(), exposure=exposure),))
+
+
+def blurred(exposure: float) -> torch.Tensor:
+    """Mean radius over each exposure by a fine sum, apart from the code under test."""
+    offsets = (torch.arange(201, dtype=torch.float64) + 0.5) / 201 - 0.5
+    every = (TIMES[:, None] + exposure * offsets).flatten()
+    rising, order = every.sort()
+    radius = torch.empty_like(every)
+    radius[order] = SIMULATOR(PARAMETERS.pack(GEL), torch.tensor([200.0, 0.2]).double(), rising).radius
+    return radius.reshape(len(TIMES), -1).mean(1)
+
+
+def test_that_a_known_exposure_averages_as_the_effect_of_that_value_does():
+    known = predict(SIMULATOR, PARAMETERS.pack(GEL), film(0.04))
+    effect = predict(SIMULATOR, PARAMETERS.pack(GEL | {"exposure_blur": 0.04}), film(0.0))
+    assert torch.equal(known, effect)
+    torch.testing.assert_close(known[0], blurred(0.04), rtol=0.0, atol=4e-3)  # eight nodes in a collapse
+    sharp = predict(SIMULATOR, PARAMETERS.pack(GEL), film(0.0))
+    assert float((known - sharp).abs().max()) > 0.02
+
+
+def test_that_each_experiment_has_its_own_exposure():
+    first, second = film(0.02).experiments[0], film(0.06).experiments[0]
+    both = predict(SIMULATOR, PARAMETERS.pack(GEL), ExperimentBatch((first, second)))
+    for row, exposure in zip(both, (0.02, 0.06), strict=True):
+        assert torch.equal(row, predict(SIMULATOR, PARAMETERS.pack(GEL), film(exposure))[0])
+
+
+def traces(exposure_s: float | None, radius: torch.Tensor) -> TraceSet:
+    given = Given(max_radius_m=SIZE, max_radius_sd_m=1e-8, time_of_max_s=0.0, exposure_s=exposure_s)
+    return TraceSet((RadiusTrace("a", TIMES * SCALE, SIZE * radius, "memory", given),))
+
+
+def test_that_a_stated_exposure_brings_the_fit_to_the_truth():
+    exposure, found = 0.045, {}
+    noise = 0.001 * torch.randn(len(TIMES), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    radius = blurred(exposure) + noise
+    for stated in (None, exposure * SCALE):
+        result = characterize(
+            traces(stated, radius),
+            prior=wide_prior(["nhkv"]),
+            simulator=SIMULATOR,
+            rest_radius=(0.2, 0.002),
+            options=SearchOptions(scouts=16, starts=2),
+            check=False,
+        )
+        found[stated] = result.assimilation.rmse("nhkv")
+    assert found[exposure * SCALE] < 0.0013
+    assert found[None] > 1.5 * found[exposure * SCALE]
+
+
+def test_that_the_json_beside_a_file_states_the_exposure(tmp_path):
+    rows = "".join(f"{t * SCALE},{SIZE * r}\n" for t, r in zip(TIMES.tolist(), blurred(0.04).tolist(), strict=True))
+    (tmp_path / "gel.csv").write_text("time_s,radius_m\n" + rows)
+    for exposure, message in ((0.04 * SCALE, None), (1.0, "exposure_s is 1e.06 us, and frames are .* us apart")):
+        (tmp_path / "gel.json").write_text(json.dumps({"exposure_s": exposure, "Rmax_m": SIZE}))
+        loaded = load_traces(tmp_path / "gel.csv")
+        if message:
+            with pytest.raises(InputDataError, match=message):
+                prepare(loaded, OUTER, rest_radius=(0.2, 0.01))
+            continue
+        prepared = prepare(loaded, OUTER, rest_radius=(0.2, 0.01))
+        assert prepared.experiments[0].exposure == pytest.approx(0.04, rel=1e-3)
+        assert "averaged over exposures of t* = 0.04" in prepared.report()
+
+
+def test_that_an_exposure_survives_windows_and_journals(tmp_path):
+    experiment = film(0.04).experiments[0]
+    assert experiment.until(1.0).exposure == 0.04
+    journal = Journal(tmp_path)
+    assert journal.restore(journal.store(experiment, "experiment_001")).exposure == 0.04
+    with pytest.raises(InputDataError, match=r"exposure is 0\.7 of Rmax/U_c"):
+        film(0.7)
