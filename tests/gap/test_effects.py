@@ -30,6 +30,7 @@ NAMES = [
     "sound_speed",
     "surface_tension",
     "far_field_pressure",
+    "density",
     "wall",
     "energy_loss",
     "residual_velocity",
