@@ -55,6 +55,7 @@ register_effect(
         "healing_damage",
         "the gel softens with accumulated strain and heals within the event",
         "material",
+        # bonds form anew within about the period of a bubble of 200 um: faster is no damage, slower does not heal in a film
         {"damage": TruncatedNormal(0.0, 0.3, lower=0.0), "healing": LogNormal(3e4, 3.0)},
         ((0.1, 3e4), (0.4, 3e4)),
         "damage that does not heal: late rebounds, and a second shot at the same place, tell them apart",
@@ -67,7 +68,7 @@ register_effect(
         "viscous_damage",
         "viscosity falls with accumulated strain",
         "material",
-        {"viscous_damage": TruncatedNormal(0.0, 0.1, lower=0.0)},
+        {"viscous_damage": TruncatedNormal(0.0, 0.1, lower=0.0)},  # a third is lost by the first rebound, at a strain of 4
         confused="viscosity, shear thinning; the second collapse tells them apart",
         needs="mu",
     )

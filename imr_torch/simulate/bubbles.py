@@ -14,7 +14,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-import imr_torch.simulate.effects  # noqa: F401 - registers its effects
+import imr_torch.simulate.effects
+import imr_torch.simulate.gas_effects  # noqa: F401 - both register their effects
 from imr_torch.elementary import Scalar
 from imr_torch.material import (
     LIBRARY,

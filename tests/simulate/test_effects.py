@@ -26,6 +26,7 @@ from imr_torch.simulate import (
     TabulatedDriving,
     TransportSimulator,
     effects,
+    gas_effects,
 )
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.contents import conductivity_of, temperature_of, warm_profile
@@ -111,7 +112,7 @@ def radii(kind: str, conditions: Conditions | None = None, **values: float) -> T
 
 def test_that_every_effect_has_a_value_to_be_seen_at() -> None:
     assert set(BEYOND) | set(SI) == set(SEEN_BY_THE_BUBBLE)
-    assert registered(effects) <= set(BEYOND)
+    assert registered(effects) | registered(gas_effects) <= set(BEYOND)
 
 
 def bases_and_neighbours(*, acting: bool) -> Tensor:
