@@ -3,9 +3,10 @@
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
-from imr_torch.assimilate.importance import ImportanceSample
+from imr_torch.assimilate.importance import ImportanceSample, NoiseSample
 from imr_torch.assimilate.map_fit import assimilate
-from imr_torch.assimilate.noise_estimation import NOISE_ROUNDS, assimilate_estimating_noise
+from imr_torch.assimilate.noise_estimation import NOISE_ROUNDS, assimilate_estimating_noise, determines_noise
+from imr_torch.assimilate.noise_posterior import NoiseNodes, NoisePrior, marginal, most_probable_law
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.posterior import Neighbourhood, Point, Posterior
 from imr_torch.assimilate.published import PublishedFit, PublishedOptions, as_one_curve, assimilate_published
@@ -20,6 +21,9 @@ __all__ = [
     "ImportanceSample",
     "ModelFit",
     "Neighbourhood",
+    "NoiseNodes",
+    "NoisePrior",
+    "NoiseSample",
     "NormalEquations",
     "Point",
     "Posterior",
@@ -32,7 +36,10 @@ __all__ = [
     "assimilate_en4dvar",
     "assimilate_estimating_noise",
     "assimilate_published",
+    "determines_noise",
     "ensemble_sensitivity",
+    "marginal",
+    "most_probable_law",
     "normal_equations",
     "weigh",
 ]
