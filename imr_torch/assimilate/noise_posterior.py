@@ -19,11 +19,12 @@ from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.errors import InputDataError
 from imr_torch.observe import ExperimentBatch, Noise
 
-_MOST = 40  # pairs of floor and correlation time
-_WITHIN = 9.0  # nats below the best pair within which a pair counts
+_MOST = 24  # pairs of floor and correlation time
+_WITHIN = 8.0  # nats below the best pair within which a pair counts
 _STEP = 1.1  # between scales, in posterior standard deviations of their logarithm
 _BELOW, _ABOVE = 3, 4  # scales on either side; the posterior of a logarithm of a scale has the longer tail above
 _SEARCH = (0.5, 0.15, 0.05)  # half-widths of the parabolas through which the most probable scale is found, in its logarithm
+_LONGEST = 2.0  # posterior standard deviations by which the linearised optimum under another law may lie off the fit
 _TIE = 1e-6  # nats; a law without slope and drift has the same likelihood at every floor
 _ELEMENTS = 2_000_000  # numbers in memory at once
 
@@ -80,6 +81,7 @@ class _Pairs:
     places: Tensor
 
     def __getitem__(self, rows: Tensor | slice) -> "_Pairs":
+        """Some of them."""
         return _Pairs(self.law, self.floors[rows], self.times[rows], self.log_prior[rows], self.places[rows])
 
     def __len__(self) -> int:
@@ -160,8 +162,8 @@ class _Local:
         size = float(batch.sizes.sum())
         return cls(square.sum(-1), normaliser.sum(-1), size, equations, (near.point.gel, near.point.nuisances))
 
-    def marginal(self, log_scales: Tensor) -> Tensor:
-        """Log marginal likelihood, gel and nuisances integrated out: ``J x S`` for ``J x S`` logarithms of the scale."""
+    def posterior(self, log_scales: Tensor) -> NormalEquations:
+        """Equations of the posterior, ``J x S``, for ``J x S`` logarithms of the scale."""
         gel, nuisances = self.point
         precision = torch.exp(-2.0 * log_scales)  # J x S
 
@@ -170,13 +172,18 @@ class _Local:
 
         one = self.equations
         eyes = (torch.eye(n, dtype=torch.float64) for n in (gel.shape[-1], 3))
-        equations = NormalEquations(
+        return NormalEquations(
             gel + scaled(one.gel_gradient),
             nuisances + scaled(one.nuisance_gradient),
             next(eyes) + scaled(one.gel_hessian),
             next(eyes) + scaled(one.nuisance_hessian),
             scaled(one.cross),
         )
+
+    def marginal(self, log_scales: Tensor) -> Tensor:
+        """Log marginal likelihood, gel and nuisances integrated out: ``J x S`` for ``J x S`` logarithms of the scale."""
+        (gel, nuisances), equations = self.point, self.posterior(log_scales)
+        precision = torch.exp(-2.0 * log_scales)
         likelihood = -0.5 * self.square[:, None] * precision - self.normaliser[:, None] - self.size * log_scales
         prior = 0.5 * (gel.square().sum() + nuisances.square().sum())
         determinant = torch.linalg.slogdet(equations.reduced.hessian).logabsdet + equations.reduced.nuisance_log_det
@@ -257,19 +264,23 @@ class NoiseNodes:
         pairs: ``J`` pairs of floor and correlation time.
         log_scales: ``J x S`` tensor.
         log_prior: ``J x S`` tensor, prior probability of each node, nats.
+        mean: ``d`` tensor, posterior mean of the whitened gel over all laws, to first order.
+        chol: ``d x d`` tensor, Cholesky factor of its covariance.
     """
 
     prior: NoisePrior
     pairs: _Pairs
     log_scales: Tensor
     log_prior: Tensor
+    mean: Tensor
+    chol: Tensor
 
     @classmethod
     def near(cls, near: Neighbourhood, prior: NoisePrior) -> "NoiseNodes":
         """Nodes that matter about a fit.
 
         Scales are a trapezoidal rule over the logarithm; of floors and correlation times every node of a grid that is within
-        9 nats of the best, or every second, third, ... along the longer side until there are at most 40.
+        8 nats of the best, or every second, third, ... along the longer side until there are at most 24.
         """
         pairs = _Pairs.of(prior)
         local = _Local.of(near, pairs)
@@ -279,7 +290,10 @@ class NoiseNodes:
         steps = _STEP * torch.arange(-_BELOW, _ABOVE + 1, dtype=torch.float64)
         log_scales = centre[rows, None] + width[rows, None] * steps
         log_prior = (pairs.log_prior[rows] + stride.log() + (_STEP * width[rows]).log())[:, None].expand_as(log_scales)
-        return cls(prior, pairs[rows], log_scales, log_prior - math.log(math.log(prior.scales)))
+        log_prior = log_prior - math.log(math.log(prior.scales))
+        chosen = replace(local, square=local.square[rows], normaliser=local.normaliser[rows], equations=local.equations[rows])
+        mean, chol = _mixture(chosen.posterior(log_scales), chosen.marginal(log_scales) + log_prior, near.point.gel)
+        return cls(prior, pairs[rows], log_scales, log_prior, mean, chol)
 
     def __len__(self) -> int:
         return self.log_scales.numel()
@@ -307,6 +321,18 @@ class NoiseNodes:
         scales = self.log_scales[pair].reshape(-1, *[1] * (square.ndim - 1))
         value = -0.5 * square * torch.exp(-2.0 * scales) - normaliser - batch.sizes * scales
         return torch.where(torch.isnan(value), -torch.inf, value)
+
+
+def _mixture(equations: NormalEquations, log_weights: Tensor, gel: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and Cholesky factor of the covariance of the gel over laws of given weights; no step longer than two sd."""
+    weights, hessian = torch.softmax(log_weights.flatten(), 0), equations.reduced.hessian.flatten(0, 1)
+    step = -torch.linalg.solve(hessian, equations.reduced.gradient.flatten(0, 1)[..., None])[..., 0]
+    length = (step[:, None] @ hessian @ step[..., None])[:, 0].clamp_min(1e-300).sqrt()
+    step = step * (_LONGEST / length).clamp_max(1.0)
+    shift = weights @ step
+    apart = step - shift
+    covariance = torch.einsum("m,mij->ij", weights, torch.linalg.inv(hessian) + apart[:, :, None] * apart[:, None])
+    return gel + shift, torch.linalg.cholesky(covariance)
 
 
 def _thinned(places: Tensor, kept: Tensor) -> tuple[Tensor, Tensor]:

@@ -202,7 +202,8 @@ def _fit_again(
 def _proposal(state: _State, batch: ExperimentBatch, simulator: Simulator) -> Kernels:
     """The proposal of the next round: the fit's Gaussian, then its ridge, then one from all its draws so far."""
     if not state.parts:
-        return Kernels.about(state.fit.mean, state.fit.chol)
+        about = state.fit if state.nodes is None else state.nodes
+        return Kernels.about(about.mean, about.chol)
     if len(state.parts) == 1:
         return trace_ridge(state.fit, batch, simulator)
     return _again(state.proposals, state.parts)

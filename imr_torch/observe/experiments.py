@@ -238,19 +238,24 @@ class ExperimentBatch:
         """
         weight = torch.where(self.mask, 1.0 / sd, 0.0)
         misfit, log_sd = weight * (self.mean - prediction), sd.log()
+        if innovations is not None:
+            own, before = innovations
+            misfit, log_sd = own * misfit - before * previous(misfit), log_sd - own.log()
+        counts = torch.where(self.mask, self.counts, 0.0)
+        square, normaliser = counts * misfit.square(), counts * (log_sd + 0.5 * math.log(2.0 * math.pi))
+        if max(e.repeats for e in self.experiments) > 1:
+            square = square + self._scattered(weight, innovations)
+        return square.sum(-1), normaliser.sum(-1)
+
+    def _scattered(self, weight: Tensor, innovations: tuple[Tensor, Tensor] | None) -> Tensor:
+        """Whitened squares of the deviations of the repeats from their mean, for weights ``... x E x T``."""
         squares, products = self._scatter
         if innovations is None:
-            scatter = weight.square() * squares
-        else:
-            own, before = innovations
-            misfit = own * misfit - before * previous(misfit)
-            last = before * previous(weight)
-            scatter = (own * weight).square() * squares - 2.0 * own * weight * last * products
-            scatter = scatter + last.square() * previous(squares)
-            log_sd = log_sd - own.log()
-        counts = torch.where(self.mask, self.counts, 0.0)
-        normaliser = (counts * (log_sd + 0.5 * math.log(2.0 * math.pi))).sum(-1)
-        return (counts * misfit.square() + scatter).sum(-1), normaliser
+            return weight.square() * squares
+        own, before = innovations
+        last = before * previous(weight)
+        both = (own * weight).square() * squares - 2.0 * own * weight * last * products
+        return both + last.square() * previous(squares)
 
     @cached_property
     def sizes(self) -> Tensor:
