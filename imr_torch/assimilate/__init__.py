@@ -1,5 +1,6 @@
 """Stage 4, inference: from experiments to the posterior of each model's parameters, with a convergence certificate."""
 
+from imr_torch.assimilate.bad_frames import BadFrame, BadFrames, find_bad_frames
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
@@ -15,6 +16,8 @@ from imr_torch.assimilate.weighing import weigh
 __all__ = [
     "NOISE_ROUNDS",
     "Assimilation",
+    "BadFrame",
+    "BadFrames",
     "Certificate",
     "En4DVarOptions",
     "FitOptions",
@@ -38,6 +41,7 @@ __all__ = [
     "assimilate_published",
     "determines_noise",
     "ensemble_sensitivity",
+    "find_bad_frames",
     "marginal",
     "most_probable_law",
     "normal_equations",

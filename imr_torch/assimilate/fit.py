@@ -149,12 +149,16 @@ class ModelFit:
     def posterior(self) -> ModelBelief:
         """The belief after the data: the fitted Gaussian or, if ``REPAIRED``, moments of the weighed draws and 64 of these.
 
-        Where the draws integrate over the noise, a ``TRUSTED`` Gaussian has the change that makes in its mean and covariance.
+        Where the draws integrate over the noise, a ``TRUSTED`` Gaussian has the change that makes in its mean and covariance, and
+        a ``REFUSED`` one that to first order.
         """
         if self.verdict is not Verdict.REPAIRED:
             mean, chol = self.mean, self.chol
-            if self.verdict is Verdict.TRUSTED and self.sample is not None:
+            noise = None if self.sample is None else self.sample.noise
+            if self.sample is not None and self.verdict is Verdict.TRUSTED:
                 mean, chol = self.sample.widened(mean, chol)
+            elif noise is not None:
+                mean, chol = noise.nodes.about.mean, noise.nodes.about.chol
             return self._believed(mean, chol @ chol.mT)
         sample = self.sample
         assert sample is not None

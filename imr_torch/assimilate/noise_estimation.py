@@ -71,7 +71,7 @@ def assimilate_estimating_noise(
     >>> shot, options = laboratory.shoot(torch.tensor([400.0, 0.22]).double(), seed=1), SearchOptions(scouts=16, starts=2)
     >>> fits = assimilate_estimating_noise(case.prior, ExperimentBatch((shot,)), simulator, rounds=1, seed=0, options=options)
     >>> round(fits.batch.noise.scale, 1)  # times the published law
-    1.9
+    2.0
     """
     gaps = [e.label for e in batch.experiments if e.has_gaps]
     if rounds and gaps:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate.gauss_newton import NormalEquations
-from imr_torch.assimilate.posterior import Neighbourhood
+from imr_torch.assimilate.posterior import Neighbourhood, Point
 from imr_torch.errors import InputDataError
 from imr_torch.observe import ExperimentBatch, Noise
 
@@ -256,6 +256,55 @@ def most_probable_law(near: Neighbourhood, prior: NoisePrior) -> Noise:
 
 
 @dataclass(frozen=True)
+class NoiseMixture:
+    """Moments of gel and nuisances over noise laws of given weights, to first order.
+
+    Args:
+        mean: ``d`` tensor, of the whitened gel.
+        chol: ``d x d`` tensor, Cholesky factor of its covariance.
+        nuisances: ``E x 3`` tensor, means at that gel.
+        nuisance_response: ``E x 3 x d`` tensor, how they move with the gel.
+        nuisance_chol: ``E x 3 x 3`` tensor, lower Cholesky factors of the precision of the nuisances given the gel.
+    """
+
+    mean: Tensor
+    chol: Tensor
+    nuisances: Tensor
+    nuisance_response: Tensor
+    nuisance_chol: Tensor
+
+    @classmethod
+    def of(cls, equations: NormalEquations, log_weights: Tensor, point: Point) -> "NoiseMixture":
+        """From the equations of each law; no law moves the gel by more than two of its own standard deviations."""
+        weights, reduced = torch.softmax(log_weights.flatten(), 0), equations.reduced
+        hessian = reduced.hessian.flatten(0, 1)
+        step = -torch.linalg.solve(hessian, reduced.gradient.flatten(0, 1)[..., None])[..., 0]
+        length = (step[:, None] @ hessian @ step[..., None])[:, 0].clamp_min(1e-300).sqrt()
+        step = step * (_LONGEST / length).clamp_max(1.0)
+        shift, covariance = _moments(weights, step, torch.linalg.inv(hessian))
+        response = torch.einsum("m,meij->eij", weights, reduced.nuisance_response.flatten(0, 1))
+        moved, spread = _moments(
+            weights, reduced.nuisance_step.flatten(0, 1), torch.linalg.inv(equations.nuisance_hessian.flatten(0, 1))
+        )
+        nuisances = point.nuisances + moved + (response @ shift[:, None])[..., 0]
+        precision = torch.linalg.inv(spread)
+        return cls(
+            point.gel + shift,
+            torch.linalg.cholesky(covariance),
+            nuisances,
+            response,
+            torch.linalg.cholesky(0.5 * (precision + precision.mT)),
+        )
+
+
+def _moments(weights: Tensor, means: Tensor, covariances: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and covariance of a mixture: ``M`` weights, ``M x ... x d`` means, ``M x ... x d x d`` covariances."""
+    mean = torch.einsum("m,m...->...", weights, means)
+    apart = means - mean
+    return mean, torch.einsum("m,m...->...", weights, covariances + apart[..., :, None] * apart[..., None, :])
+
+
+@dataclass(frozen=True)
 class NoiseNodes:
     """Noise laws over which a posterior is integrated, with their prior probabilities as weights of a quadrature.
 
@@ -264,16 +313,14 @@ class NoiseNodes:
         pairs: ``J`` pairs of floor and correlation time.
         log_scales: ``J x S`` tensor.
         log_prior: ``J x S`` tensor, prior probability of each node, nats.
-        mean: ``d`` tensor, posterior mean of the whitened gel over all laws, to first order.
-        chol: ``d x d`` tensor, Cholesky factor of its covariance.
+        about: the posterior over all laws, to first order.
     """
 
     prior: NoisePrior
     pairs: _Pairs
     log_scales: Tensor
     log_prior: Tensor
-    mean: Tensor
-    chol: Tensor
+    about: "NoiseMixture"
 
     @classmethod
     def near(cls, near: Neighbourhood, prior: NoisePrior) -> "NoiseNodes":
@@ -292,8 +339,8 @@ class NoiseNodes:
         log_prior = (pairs.log_prior[rows] + stride.log() + (_STEP * width[rows]).log())[:, None].expand_as(log_scales)
         log_prior = log_prior - math.log(math.log(prior.scales))
         chosen = replace(local, square=local.square[rows], normaliser=local.normaliser[rows], equations=local.equations[rows])
-        mean, chol = _mixture(chosen.posterior(log_scales), chosen.marginal(log_scales) + log_prior, near.point.gel)
-        return cls(prior, pairs[rows], log_scales, log_prior, mean, chol)
+        about = NoiseMixture.of(chosen.posterior(log_scales), chosen.marginal(log_scales) + log_prior, near.point)
+        return cls(prior, pairs[rows], log_scales, log_prior, about)
 
     def __len__(self) -> int:
         return self.log_scales.numel()
@@ -321,18 +368,6 @@ class NoiseNodes:
         scales = self.log_scales[pair].reshape(-1, *[1] * (square.ndim - 1))
         value = -0.5 * square * torch.exp(-2.0 * scales) - normaliser - batch.sizes * scales
         return torch.where(torch.isnan(value), -torch.inf, value)
-
-
-def _mixture(equations: NormalEquations, log_weights: Tensor, gel: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and Cholesky factor of the covariance of the gel over laws of given weights; no step longer than two sd."""
-    weights, hessian = torch.softmax(log_weights.flatten(), 0), equations.reduced.hessian.flatten(0, 1)
-    step = -torch.linalg.solve(hessian, equations.reduced.gradient.flatten(0, 1)[..., None])[..., 0]
-    length = (step[:, None] @ hessian @ step[..., None])[:, 0].clamp_min(1e-300).sqrt()
-    step = step * (_LONGEST / length).clamp_max(1.0)
-    shift = weights @ step
-    apart = step - shift
-    covariance = torch.einsum("m,mij->ij", weights, torch.linalg.inv(hessian) + apart[:, :, None] * apart[:, None])
-    return gel + shift, torch.linalg.cholesky(covariance)
 
 
 def _thinned(places: Tensor, kept: Tensor) -> tuple[Tensor, Tensor]:

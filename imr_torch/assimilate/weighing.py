@@ -97,6 +97,11 @@ class _State:
     drawn: int = 0
 
     @property
+    def about(self) -> ModelFit:
+        """The fit, with the moments of its posterior over all noise laws where these are uncertain."""
+        return self.fit if self.nodes is None else replace(self.fit, **vars(self.nodes.about))
+
+    @property
     def refused(self) -> bool:
         """Whether the draws so far do not give reliable moments."""
         return self.fit.verdict is Verdict.REFUSED
@@ -202,8 +207,7 @@ def _fit_again(
 def _proposal(state: _State, batch: ExperimentBatch, simulator: Simulator) -> Kernels:
     """The proposal of the next round: the fit's Gaussian, then its ridge, then one from all its draws so far."""
     if not state.parts:
-        about = state.fit if state.nodes is None else state.nodes
-        return Kernels.about(about.mean, about.chol)
+        return Kernels.about(state.about.mean, state.about.chol)
     if len(state.parts) == 1:
         return trace_ridge(state.fit, batch, simulator)
     return _again(state.proposals, state.parts)
@@ -222,7 +226,7 @@ def _ahead(fits: list[ModelFit], drop_behind: float | None) -> set[str]:
 
 def _draw(state: _State, batch: ExperimentBatch, samples: int, seed: int, simulator: Simulator) -> _Draws:
     """Draws of the gel, and of the nuisances given the gel; those are placed anew for each gel after the first round."""
-    fit, number = state.fit, len(state.parts)
+    fit, about, number = state.fit, state.about, len(state.parts)
     sure = not bool((batch.nuisance_sds > 0.0).any())
     samples *= 2 ** max(0, number - (1 if sure else 2))
     source, experiments = generator(child(seed, "weigh", fit.model, state.drawn)), len(batch.experiments)
@@ -238,10 +242,11 @@ def _draw(state: _State, batch: ExperimentBatch, samples: int, seed: int, simula
     normal = torch.randn(samples, pairs, experiments, 3, generator=source, dtype=torch.float64)
     half = torch.where(uncertain, student_draws(normal.shape, _FREEDOM, source), normal)
     noise = torch.cat((half, -half), dim=1)
-    centre, chol = fit.nuisances_at(controls), fit.nuisance_chol.expand(samples, -1, -1, -1)
+    centre, chol = about.nuisances_at(controls), about.nuisance_chol.expand(samples, -1, -1, -1)
     if number:
-        posterior = Posterior(fit.prior, batch, simulator)
-        centre, chol = conditional_nuisances(posterior, Point(controls, centre), chol)
+        posterior, fitted = Posterior(fit.prior, batch, simulator), fit.nuisance_chol
+        centre, chol = conditional_nuisances(posterior, Point(controls, centre), fitted.expand(samples, -1, -1, -1))
+        chol = chol @ torch.linalg.solve_triangular(fitted, about.nuisance_chol, upper=False)
     deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)[..., 0]
     nuisances = centre[:, None] + deviation
     log_prior = _standard_log_prob(nuisances).sum(-1)
