@@ -7,7 +7,7 @@ from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitiv
 from imr_torch.assimilate.importance import ImportanceSample, NoiseSample
 from imr_torch.assimilate.map_fit import assimilate
 from imr_torch.assimilate.noise_estimation import NOISE_ROUNDS, assimilate_estimating_noise, determines_noise
-from imr_torch.assimilate.noise_posterior import NoiseNodes, NoisePrior, marginal, most_probable_law
+from imr_torch.assimilate.noise_posterior import NoiseEdge, NoiseNodes, NoisePrior, marginal, most_probable_law, noise_edges
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.posterior import Neighbourhood, Point, Posterior
 from imr_torch.assimilate.published import PublishedFit, PublishedOptions, as_one_curve, assimilate_published
@@ -24,6 +24,7 @@ __all__ = [
     "ImportanceSample",
     "ModelFit",
     "Neighbourhood",
+    "NoiseEdge",
     "NoiseNodes",
     "NoisePrior",
     "NoiseSample",
@@ -44,6 +45,7 @@ __all__ = [
     "find_bad_frames",
     "marginal",
     "most_probable_law",
+    "noise_edges",
     "normal_equations",
     "weigh",
 ]

@@ -62,8 +62,8 @@ class BadFrame:
     def __str__(self) -> str:
         collapse = "; next to a collapse, where a model that misses the curve looks the same" if self.near_collapse else ""
         return (
-            f"{self.experiment}, frame {self.frame} (t* {self.time:.3f}): {abs(self.sigma):.1f} sd off ({self.error:+.4f} in R*), "
-            f"bad with probability {self.probability:.2f}{collapse}"
+            f"{self.experiment}, frame {self.frame} (t* {self.time:.3f}): {abs(self.sigma):.1f} sd off "
+            f"({self.error:+.4f} in R*), bad with probability {self.probability:.2f}{collapse}"
         )
 
 
@@ -154,8 +154,8 @@ class _Field:
 def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> BadFrames:
     """Find single frames whose error is far larger than the noise.
 
-    The noise of the batch is used with its correlation; where the residuals of the frames that are not named are smaller than it
-    says, it is taken to be as small as they are (at least half), since bad frames widen an estimate of the noise.
+    The noise of the batch is used with its correlation; where the residuals of the frames that are not named are smaller than
+    it says, it is taken to be as small as they are (at least half), since bad frames widen an estimate of the noise.
 
     Args:
         fit: a fit that has converged.

@@ -149,8 +149,8 @@ class ModelFit:
     def posterior(self) -> ModelBelief:
         """The belief after the data: the fitted Gaussian or, if ``REPAIRED``, moments of the weighed draws and 64 of these.
 
-        Where the draws integrate over the noise, a ``TRUSTED`` Gaussian has the change that makes in its mean and covariance, and
-        a ``REFUSED`` one that to first order.
+        Where the draws integrate over the noise, a ``TRUSTED`` Gaussian has the change that makes in its mean and covariance,
+        and a ``REFUSED`` one that to first order.
         """
         if self.verdict is not Verdict.REPAIRED:
             mean, chol = self.mean, self.chol
@@ -179,8 +179,9 @@ class ModelFit:
     def verdict(self) -> Verdict:
         """Whether the fitted Gaussian has the moments of the posterior.
 
-        ``TRUSTED``: importance weights are reliable and, with the noise that the fit was made with, confirm its mean and covariance. ``REPAIRED``: they are reliable and
-        give other moments, which agree with those that the proposal of the last round was made for. ``REFUSED``: neither.
+        ``TRUSTED``: importance weights are reliable and, with the noise that the fit was made with, confirm its mean and
+        covariance. ``REPAIRED``: they are reliable and give other moments, which agree with those that the proposal of the last
+        round was made for. ``REFUSED``: neither.
         """
         sample = self.sample
         if sample is None:

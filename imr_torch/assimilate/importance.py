@@ -154,7 +154,7 @@ class ImportanceSample:
         return self.by_experiment.sum(1) + self.log_prior
 
     def without(self, experiments: Sequence[int]) -> Tensor:
-        """``n`` tensor: log density of some experiments given the gel and all the others, nuisances and noise integrated out."""
+        """``n`` tensor: log density of some experiments given gel and all the others; nuisances and noise integrated out."""
         if self.noise is None:
             return self.by_experiment[:, list(experiments)].sum(1)
         others = [e for e in range(self.by_experiment.shape[1]) if e not in experiments]

@@ -40,6 +40,7 @@ def assimilate_estimating_noise(
     rounds: int,
     seed: int,
     options: FitOptions | None = None,
+    near: Assimilation | None = None,
     warn: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:
@@ -52,6 +53,7 @@ def assimilate_estimating_noise(
         rounds: how often the noise is estimated and the fits made again; with 0 it is as given.
         seed: of starts and ensembles.
         options: the method and its settings, :func:`assimilate` by default; tolerances are those of the last fits.
+        near: fits of the same belief and experiments, with other noise or frames, to start from.
         warn: as for :func:`assimilate`, of the last fits.
         progress: called with one line per iteration.
 
@@ -88,7 +90,7 @@ def assimilate_estimating_noise(
         how, warned = options if last else _coarse(options), warn and last
         return assimilate(belief, batch, simulator, seed=own, options=how, near=near, warn=warned, progress=progress)
 
-    result = fit(batch, 0, None)
+    result = fit(batch, 0, near)
     for number in range(1, rounds + 1):
         batch = ExperimentBatch(batch.experiments, estimated_noise(result, law, simulator))
         if progress:
@@ -103,7 +105,7 @@ def _coarse(options: SearchOptions) -> SearchOptions:
 
 
 def estimated_noise(result: Assimilation, law: Noise, simulator: Simulator) -> Noise:
-    """Noise of one curve: the most probable law about the model of lowest cost (:func:`~imr_torch.assimilate.most_probable_law`).
+    """Noise of one curve: the most probable law about the model of lowest cost (:func:`most_probable_law`).
 
     The law as it was, where the fit left fewer than ten degrees of freedom.
 

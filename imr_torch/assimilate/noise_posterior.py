@@ -1,15 +1,16 @@
 """The noise law as part of the posterior: its prior, its marginal likelihood near a fit, and nodes over which it is integrated.
 
 A noise law has three uncertain numbers: its scale, its floor and its correlation time. Under each law the posterior of gel and
-nuisances is nearly Gaussian about the fit, so its marginal likelihood follows in closed form from the local sensitivities of the
-bubbles, which are the same for all laws (:func:`marginal`). That gives the most probable law
+nuisances is nearly Gaussian about the fit, so its marginal likelihood follows in closed form from the local sensitivities of
+the bubbles, which are the same for all laws (:func:`marginal`). That gives the most probable law
 (:func:`most_probable_law`; residual maximum likelihood, Patterson & Thompson, Biometrika 58, 1971: what was fitted took part
 of the residuals) and says which laws matter. Over these the exact likelihood of each draw is summed
 (:class:`NoiseNodes`, :func:`imr_torch.assimilate.weigh`), so that only the choice of nodes rests on the linearisation.
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -45,7 +46,7 @@ class NoisePrior:
     (0.01, 3.2)
     """
 
-    law: Noise = Noise()
+    law: Noise = field(default_factory=Noise)
     largest_floor: float = 100.0
     correlation_times: tuple[float, float] = (0.01, 3.2)
     independent: float = 0.25
@@ -251,7 +252,10 @@ def most_probable_law(near: Neighbourhood, prior: NoisePrior) -> Noise:
     value = local.marginal(centre[:, None])[:, 0]
     best = int(torch.nonzero(value >= value.max() - _TIE)[0])
     return replace(
-        pairs.law, scale=math.exp(float(centre[best])), floor=float(pairs.floors[best]), correlation_time=float(pairs.times[best])
+        pairs.law,
+        scale=math.exp(float(centre[best])),
+        floor=float(pairs.floors[best]),
+        correlation_time=float(pairs.times[best]),
     )
 
 
@@ -363,7 +367,7 @@ class NoiseNodes:
         return {"scale": scale.flatten(), "constant": constant.flatten(), "correlation_time": times.flatten()}
 
     def log_likelihood(self, batch: ExperimentBatch, prediction: Tensor, pair: int) -> Tensor:
-        """Log likelihood of each experiment under the laws of one pair: ``... x E x T`` to ``S x ... x E``; ``-inf`` for NaN."""
+        """Log likelihood of each experiment under the laws of one pair, ``... x E x T`` to ``S x ... x E``; -inf for NaN."""
         square, normaliser = self.pairs[pair : pair + 1].terms(batch, prediction)
         scales = self.log_scales[pair].reshape(-1, *[1] * (square.ndim - 1))
         value = -0.5 * square * torch.exp(-2.0 * scales) - normaliser - batch.sizes * scales
@@ -386,3 +390,63 @@ def _thinned(places: Tensor, kept: Tensor) -> tuple[Tensor, Tensor]:
     rows = torch.nonzero(regular)[:, 0]
     stands = torch.where(places[rows, 1] < 0, strides[0], strides[0] * strides[1])
     return rows, stands.double()
+
+
+@dataclass(frozen=True)
+class NoiseEdge:
+    """A noise parameter whose estimate lies at the end of the range that is searched.
+
+    Args:
+        parameter: name of the parameter.
+        value: the estimate.
+        meaning: what it means.
+        remedy: what to do; empty where nothing needs to be done.
+
+    >>> from imr_torch.assimilate import NoiseEdge
+    >>> print(NoiseEdge("correlation_time", 3.2, "Residuals drift.", "Try diagnose."))
+    Noise: correlation_time is 3.2, the end of its range. Residuals drift. Try diagnose.
+    """
+
+    parameter: str
+    value: float
+    meaning: str
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        return f"Noise: {self.parameter} is {self.value:.3g}, the end of its range. {self.meaning} {self.remedy}".rstrip()
+
+
+def noise_edges(
+    noise: Noise, prior: NoisePrior, intervals: Mapping[str, Sequence[float]] | None = None
+) -> tuple[NoiseEdge, ...]:
+    """Parameters of an estimated law at an end of their range.
+
+    Args:
+        noise: the estimate.
+        prior: the range.
+        intervals: 5, 50 and 95 % quantiles of the parameters (:attr:`ImportanceSample.noise_intervals`); a correlation time
+            whose 95 % quantile lies at the end counts too.
+
+    >>> from imr_torch.assimilate import NoisePrior, noise_edges
+    >>> from imr_torch.observe import Noise
+    >>> [edge.parameter for edge in noise_edges(Noise(floor=0.003, correlation_time=3.2), NoisePrior())]
+    ['correlation_time']
+    """
+    found, longest = [], prior.correlation_times[1]
+    tau = max(noise.correlation_time, intervals["correlation_time"][2] if intervals else 0.0)
+    if tau > 0.99 * longest:
+        found.append(
+            NoiseEdge(
+                "correlation_time",
+                tau,
+                "Residuals drift as slowly as a record is long: their correlation and their amount cannot be told apart, and "
+                "intervals may be too narrow.",
+                "Most often the model misses the curves: run diagnose; more curves of the same gel tell the two apart.",
+            )
+        )
+    if noise.slope or noise.drift:
+        if noise.floor > 0.99 * prior.largest_floor * prior.law.floor:
+            found.append(NoiseEdge("floor", noise.floor, "The noise is the same at every radius, as that of pixels is."))
+        elif noise.floor < 1.01 * prior.law.floor:
+            found.append(NoiseEdge("floor", noise.floor, "No constant part beyond that of the published law is seen."))
+    return tuple(found)

@@ -46,8 +46,8 @@ class _Draws:
         controls: ``n x d`` tensor.
         nuisances: ``n x K x E x 3`` tensor: opposite pairs, or (``K = 1``) all zero where none is uncertain.
         log_ratio: ``n x K x E`` tensor, log of prior over proposal of the nuisances.
-        uniforms: ``n x (E + 1)`` tensor of uniform random numbers, by which one of the nuisances of each is kept, and (the last)
-            one noise law.
+        uniforms: ``n x (E + 1)`` tensor of uniform random numbers, by which one of the nuisances of each is kept, and (the
+            last) one noise law.
     """
 
     controls: Tensor
@@ -133,8 +133,8 @@ def weigh(
         drop_behind: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
             evidence is, by reliable weights.
         refit: whether a model of which a draw has a lower cost than its minimum is fitted again from there, and weighed anew.
-        noise: prior of the noise law, which is then integrated out: the likelihood of each draw is summed over
-            the laws that matter (:class:`imr_torch.assimilate.NoiseNodes`). The law of the batch is taken as known when not given.
+        noise: prior of the noise law, which is then integrated out: the likelihood of each draw is summed over the laws
+            that matter (:class:`imr_torch.assimilate.NoiseNodes`). The law of the batch is taken as known when not given.
         progress: called with one line per round.
 
     Returns:

@@ -57,7 +57,7 @@ class Arrangement:
         learn: what the inference is given of the experiments; the data with their own noise when not given. Lets a
             wrong inference be tested, or one with less information.
         noise_rounds: how often the inference estimates the noise from its residuals.
-        integrate_noise: whether the noise, where it is estimated, is integrated out as in a characterisation, and not plugged in.
+        integrate_noise: whether the noise, where it is estimated, is integrated out, as in a characterisation.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.calibration import Arrangement
