@@ -131,7 +131,7 @@ def _noise_rows(document: Mapping[str, Any]) -> list[tuple[str, str]]:
         values = ", ".join(f"{words} {found[name][0]:.3g} to {found[name][2]:.3g}" for name, words in parts)
         rows.append(("Noise, 90 %", f"{values}; intervals and probabilities integrate over it"))
     rows += [("Noise, end of range", str(NoiseEdge(**edge))) for edge in document.get("noise_edges", ())]
-    bad = document.get("bad_frames") or {"frames": ()}
+    bad: Mapping[str, Any] = document.get("bad_frames") or {"frames": ()}
     for title, frames in (("Frame that looks bad", bad["frames"]), ("Left out as bad", document.get("frames_left_out", ()))):
         rows += [(title, str(BadFrame(**frame))) for frame in frames]
     if bad["frames"] and bad["intervals_without"]:
