@@ -326,7 +326,7 @@ def characterize(
         effort: how far draws are weighed where they do not settle the intervals: ``"normal"`` or ``"thorough"``, see
             ``EFFORTS``.
         frames: ``"all"`` are fitted, and single ones that look bad are named; with ``"robust"`` these are left out and the
-            fit repeated until none is named, three times at most.
+            fit repeated until none is named, three times at most; those next to a collapse and runs of three or more stay in, since they are more likely a misfit.
         seed: of everything random.
         progress: called with one line per step.
 
@@ -391,10 +391,11 @@ def characterize(
     if check or frames == "robust":
         bad = find_bad_frames(weighed[posterior.best.model], weighed.batch, simulator)
     for number in range(_REFITS if frames == "robust" else 0):
-        if bad is None or not bad.frames:
+        single = tuple(frame for frame in bad.frames if frame.single) if bad else ()
+        if not single:
             break
-        left_out += tuple(_as_recorded(frame, prepared.experiments) for frame in bad.frames)
-        weighed = fit(_without(weighed.batch.experiments, bad), weighed, child(seed, "robust", number))
+        left_out += tuple(_as_recorded(frame, prepared.experiments) for frame in single)
+        weighed = fit(_without(weighed.batch.experiments, single), weighed, child(seed, "robust", number))
         evidence = evidences(weighed)
         posterior = update(weighed, evidence)
         bad = find_bad_frames(weighed[posterior.best.model], weighed.batch, simulator)
@@ -418,12 +419,12 @@ def characterize(
     return Characterization(prepared, weighed, evidence, posterior, seconds, found, used, tested, bad, left_out)
 
 
-def _without(experiments: tuple[Experiment, ...], bad: BadFrames) -> tuple[Experiment, ...]:
+def _without(experiments: tuple[Experiment, ...], bad: tuple[BadFrame, ...]) -> tuple[Experiment, ...]:
     """Experiments without the frames that look bad."""
     kept = []
     for experiment in experiments:
         frames = torch.ones_like(experiment.times, dtype=torch.bool)
-        frames[[frame.frame for frame in bad.frames if frame.experiment == experiment.label]] = False
+        frames[[frame.frame for frame in bad if frame.experiment == experiment.label]] = False
         kept.append(experiment.at(frames))
     return tuple(kept)
 

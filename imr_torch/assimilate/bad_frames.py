@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
+from imr_torch.assimilate.masking import away_from_collapses
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.material import PARAMETERS, ModelBelief
-from imr_torch.observe import ExperimentBatch, collapse_time
+from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 
 PRIOR = 0.01
@@ -27,6 +28,7 @@ _DELETED = 1e6  # times that variance, with which a frame says nothing
 _NAMED = 0.5  # posterior probability from which on a frame is named
 _MOST = 3000  # frames in all; memory grows with their square
 _LARGEST = 0.25  # share of the frames that may be named; more are a misfit, not single frames
+_RUN = 3  # bad frames side by side that are a misfit
 _LEVELS = (0.05, 0.5, 0.95)
 _ROUNDS = 10
 _LEAST = 0.5  # smallest noise, over that of the fit, that residuals of the good frames may show
@@ -45,6 +47,7 @@ class BadFrame:
         error: observed minus expected from all other frames, R*.
         sigma: the same in standard deviations of what is expected.
         near_collapse: whether it is at or next to a collapse, where a model that misses the curve errs in single frames too.
+        in_run: whether it is one of three or more such frames side by side, which is no single bad frame but a misfit.
 
     >>> from imr_torch.assimilate import BadFrame
     >>> print(BadFrame("shot 2", 12, 0.61, 0.98, 0.043, 6.1, False))
@@ -58,9 +61,16 @@ class BadFrame:
     error: float
     sigma: float
     near_collapse: bool
+    in_run: bool = False
+
+    @property
+    def single(self) -> bool:
+        """Whether it stands alone away from collapses; at one, a frame is no longer linear in gel and nuisances."""
+        return not (self.near_collapse or self.in_run)
 
     def __str__(self) -> str:
         collapse = "; next to a collapse, where a model that misses the curve looks the same" if self.near_collapse else ""
+        collapse += "; in a run of such frames, so more likely a misfit of the model" if self.in_run else ""
         return (
             f"{self.experiment}, frame {self.frame} (t* {self.time:.3f}): {abs(self.sigma):.1f} sd off "
             f"({self.error:+.4f} in R*), bad with probability {self.probability:.2f}{collapse}"
@@ -74,7 +84,7 @@ class BadFrames:
     Args:
         model: key of the model.
         frames: those that are bad with a probability above one half, in the order of curves and frames.
-        without: the model's posterior without them, to first order; None where there are none.
+        without: the model's posterior without those that stand alone, to first order; None where there are none.
         reason: why it was not tested; empty where it was.
 
     >>> from imr_torch.assimilate import BadFrames
@@ -91,12 +101,14 @@ class BadFrames:
         """In words: the frames, and the intervals without them."""
         if self.reason:
             return [f"Not tested whether single frames are bad: {self.reason}"]
-        if not self.frames or self.without is None:
+        if not self.frames:
             return ["No single frame looks bad."]
         lines = [f"{len(self.frames)} frame(s) look bad:", *(f"  {frame}" for frame in self.frames)]
+        if self.without is None:
+            return lines
         rows = zip(self.without.names, self.without.quantile(_LEVELS).T.tolist(), strict=True)
         values = [f"{name} {PARAMETERS[name].interval(*quantiles)}" for name, quantiles in rows]
-        return [*lines, f"  without them, to first order: {'; '.join(values)}"]
+        return [*lines, f"  without those that stand alone, to first order: {'; '.join(values)}"]
 
     def to_dict(self) -> dict[str, object]:
         """JSON-ready values."""
@@ -205,10 +217,14 @@ def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator)
                 float(probability[n]),
                 error,
                 error / (size * math.sqrt(variance)),
-                _near_collapse(batch, e, frame),
+                not bool(away_from_collapses(shot.times, shot.mean)[frame]),
+                _in_run(bad[where[:, 0] == e], frame),
             )
         )
-    return BadFrames(fit.model, tuple(frames), _posterior(fit, whole, whole.with_bad(bad, _DELETED)))
+    alone = torch.zeros_like(bad)
+    alone[bad] = torch.tensor([frame.single for frame in frames])
+    without = _posterior(fit, whole, whole.with_bad(alone, _DELETED)) if bool(alone.any()) else None
+    return BadFrames(fit.model, tuple(frames), without)
 
 
 def _field(fit: ModelFit, batch: ExperimentBatch, centre: Tensor, slopes: tuple[Tensor, Tensor]) -> _Field:
@@ -273,14 +289,14 @@ def _search(whole: _Field) -> tuple[Tensor, Tensor, float]:
     return bad, probability, size
 
 
-def _near_collapse(batch: ExperimentBatch, e: int, frame: int) -> bool:
-    """Whether a frame is a minimum of its curve or next to one."""
-    shot, number = batch.experiments[e], 1
-    while (at := collapse_time(shot.times, shot.mean, number)) < math.inf:
-        if abs(frame - int((shot.times - at).abs().argmin())) <= 1:
-            return True
-        number += 1
-    return False
+def _in_run(bad: Tensor, frame: int) -> bool:
+    """Whether a frame is one of ``_RUN`` or more bad ones side by side, of the ``T`` frames of a curve."""
+    first = last = frame
+    while first > 0 and bool(bad[first - 1]):
+        first -= 1
+    while last + 1 < len(bad) and bool(bad[last + 1]):
+        last += 1
+    return last - first + 1 >= _RUN
 
 
 def _posterior(fit: ModelFit, whole: _Field, without: _Field) -> ModelBelief:

@@ -136,7 +136,7 @@ def _noise_rows(document: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows += [(title, str(BadFrame(**frame))) for frame in frames]
     if bad["frames"] and bad["intervals_without"]:
         values = "; ".join(f"{name} {PARAMETERS[name].interval(*x)}" for name, x in bad["intervals_without"].items())
-        rows.append(("Without these frames", f"{values} (to first order)"))
+        rows.append(("Without those that stand alone", f"{values} (to first order)"))
     return rows
 
 
