@@ -326,7 +326,8 @@ def characterize(
         effort: how far draws are weighed where they do not settle the intervals: ``"normal"`` or ``"thorough"``, see
             ``EFFORTS``.
         frames: ``"all"`` are fitted, and single ones that look bad are named; with ``"robust"`` these are left out and the
-            fit repeated until none is named, three times at most; those next to a collapse and runs of three or more stay in, since they are more likely a misfit.
+            fit repeated until none is named, three times at most; those next to a
+            collapse and runs of three or more stay in, since they are more likely a misfit.
         seed: of everything random.
         progress: called with one line per step.
 
