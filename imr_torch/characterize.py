@@ -2,13 +2,13 @@
 
 All curves are fitted together, each with its own Rmax, time zero and R_inf as nuisances. The noise is first the published
 law; then its scale, constant part and correlation time are estimated from the residuals of the best model and the fit
-repeated, so that a model that misses the data gets wider intervals.
+repeated, so that a model that misses the data gets wider intervals. Posterior and evidence integrate over the noise.
 """
 
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,11 +18,18 @@ from torch import Tensor
 from imr_torch.assimilate import (
     NOISE_ROUNDS,
     Assimilation,
+    BadFrame,
+    BadFrames,
     FitOptions,
     ModelFit,
+    NoiseEdge,
+    NoisePrior,
     SearchOptions,
     Verdict,
     assimilate_estimating_noise,
+    determines_noise,
+    find_bad_frames,
+    noise_edges,
     weigh,
 )
 from imr_torch.errors import InputDataError
@@ -84,6 +91,10 @@ class Effort:
 
 
 EFFORTS = {"normal": Effort(4, 3.0), "thorough": Effort(8, 7.0)}
+FRAMES = ("all", "robust")
+"""What is done about single bad frames: named only, or left out too."""
+
+_REFITS = 3  # times that bad frames are left out and the fit repeated
 _CURVES_LISTED = 10
 _NOISE_LEVELS = 21  # quantiles of the noise in a predictive band
 
@@ -103,6 +114,8 @@ class Characterization:
         fit_test: whether the most probable model explains the curves; None where that was not asked for.
         medium: the liquid side, with what was stated and what was assumed; None where the simulator's was taken unasked.
         sensitivities: what assumed values of the medium would change in the most probable model.
+        bad_frames: single frames that look bad under the most probable model; None where that was not asked for.
+        left_out: bad frames that were left out of the fit, in the order in which they were found.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -135,6 +148,8 @@ class Characterization:
     fit_test: FitTest | None = None
     medium: GelMedium | None = None
     sensitivities: tuple[MediumSensitivity, ...] = ()
+    bad_frames: BadFrames | None = None
+    left_out: tuple[BadFrame, ...] = ()
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -150,6 +165,25 @@ class Characterization:
     def noise(self) -> Noise:
         """The observation noise of the final fit."""
         return self.assimilation.batch.noise
+
+    @property
+    def noise_intervals(self) -> dict[str, list[float]] | None:
+        """5, 50 and 95 % quantiles of the noise under the most probable model; None where it was not integrated out."""
+        sample = self.assimilation[self.posterior.best.model].sample
+        return None if sample is None else sample.noise_intervals
+
+    @property
+    def noise_edges(self) -> tuple[NoiseEdge, ...]:
+        """Noise parameters that lie at an end of their range; none where the noise was given."""
+        sample = self.assimilation[self.posterior.best.model].sample
+        if sample is None or sample.noise is None:
+            return ()
+        return noise_edges(self.noise, sample.noise.nodes.prior, sample.noise_intervals)
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What makes the numbers doubtful, a sentence each."""
+        return (*self.prepared.cautions, *(str(edge) for edge in self.noise_edges if edge.remedy))
 
     def to_dict(self) -> dict[str, object]:
         """JSON-ready summary: intervals in SI units, probabilities, residuals, certificates."""
@@ -173,12 +207,16 @@ class Characterization:
                 {"id": e.label, "We": e.design[0], "R_inf*": e.design[1], "exposure_t_star": e.exposure}
                 for e in self.experiments
             ],
-            "cautions": list(self.prepared.cautions),
+            "cautions": list(self.cautions),
             **({} if self.medium is None else medium_document(self.medium, self.sensitivities, self.posterior.best)),
             "model_probabilities": self.posterior.probabilities,
             "models": models,
             "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
             "noise": vars(self.noise),
+            "noise_intervals": self.noise_intervals,
+            "noise_edges": [vars(edge) for edge in self.noise_edges],
+            "bad_frames": None if self.bad_frames is None else self.bad_frames.to_dict(),
+            "frames_left_out": [vars(frame) for frame in self.left_out],
             "fit_test": None if self.fit_test is None else self.fit_test.to_dict(),
             "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),
@@ -213,7 +251,8 @@ class Characterization:
         if self.medium is not None:
             said = (*self.medium.learnt(self.posterior.best), *(found.sentence() for found in self.sensitivities))
             lines += [self.medium.report(), *(f"  {sentence}" for sentence in said)]
-        lines += [f"{len(self.experiments)} curve(s); noise {self.noise}", *(x for use in self.frames for x in use.lines())]
+        lines += [f"{len(self.experiments)} curve(s); noise {self.noise}", *self._noise_lines()]
+        lines += [x for use in self.frames for x in use.lines()]
         order = sorted(self.assimilation.fits, key=lambda f: -self.posterior.probabilities[f.model])
         errors = probability_errors(self.assimilation.prior, self.evidence)
         for fit in order:
@@ -242,6 +281,18 @@ class Characterization:
                 for score in sorted(self.scores, key=lambda score: -score.value)
             ]
         return "\n".join(lines)
+
+    def _noise_lines(self) -> list[str]:
+        """How uncertain the noise is, what lies at an end of its range, and which frames look bad."""
+        lines, found = [], self.noise_intervals
+        if found:
+            parts = (("scale", "multiple"), ("constant", "constant part (R*)"), ("correlation_time", "correlation time (t*)"))
+            values = ", ".join(f"{words} {found[name][0]:.3g} to {found[name][2]:.3g}" for name, words in parts)
+            lines.append(f"  integrated over, 90 %: {values}")
+        lines += [f"  {edge}" for edge in self.noise_edges]
+        if self.left_out:
+            lines += ["Left out of the fit as bad frames:", *(f"  {frame}" for frame in self.left_out)]
+        return lines if self.bad_frames is None else lines + self.bad_frames.lines()
 
     def _advice(self, fit: ModelFit) -> str:
         """What can be done where the intervals of a model are not reliable."""
@@ -309,6 +360,7 @@ def characterize(
     check: bool = True,
     effort: str = "normal",
     medium: GelMedium | Statement | str | None = None,
+    frames: str = "all",
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Characterization:
@@ -319,7 +371,8 @@ def characterize(
         prior: what is believed before; the wide prior when not given.
         simulator: makes the bubbles; with heat and vapour transport by default.
         noise: law of the observation noise; the published one by default.
-        estimate_noise: whether to fit its scale, constant part and correlation time to the residuals.
+        estimate_noise: whether its scale, constant part and correlation time are estimated from the residuals and integrated
+            over; not where fewer than ten degrees of freedom are left.
         collapses: collapses that the fitted window holds.
         rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
         options: how gels are fitted, and by which method: :class:`imr_torch.assimilate.SearchOptions` or
@@ -332,6 +385,9 @@ def characterize(
         medium: density, sound speed, surface tension, temperature and ambient pressure of the gel, for example
             ``"water,temperature=310,density=1125:11"`` (:mod:`imr_torch.observe.medium`); it counts before what the files
             state, and that before the simulator's surroundings. What has a standard deviation is inferred with the gel.
+        frames: ``"all"`` are fitted, and single ones that look bad are named; with ``"robust"`` these are left out and the
+            fit repeated until none is named, three times at most; those next to a
+            collapse and runs of three or more stay in, since they are more likely a misfit.
         seed: of everything random.
         progress: called with one line per step.
 
@@ -365,27 +421,48 @@ def characterize(
         raise InputDataError("Scores hold curves out, and there is 1; give at least two, or ask for no scores.")
     if effort not in EFFORTS:
         raise InputDataError(f"effort is {effort!r}; expected one of {', '.join(EFFORTS)}.")
+    if frames not in FRAMES:
+        raise InputDataError(f"frames is {frames!r}; expected one of {', '.join(FRAMES)}.")
     prior, noise = prior or wide_prior(), noise or Noise()
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     medium = medium_of(traces, medium, simulator.conditions.surroundings)
     simulator, prior = medium.applied(simulator), medium.believed(prior)
     prepared = prepare(traces, simulator.conditions.surroundings, collapses=collapses, rest_radius=rest_radius)
-    result = assimilate_estimating_noise(
-        prior,
-        ExperimentBatch(prepared.experiments, noise),
-        simulator,
-        rounds=NOISE_ROUNDS if estimate_noise else 0,
-        seed=child(seed, "fit"),
-        options=options,
-        progress=progress,
-    )
     stated = options.drop_behind if isinstance(options, SearchOptions) else None
     drop_behind = EFFORTS[effort].behind if stated is None else stated
-    weighed = weigh(
-        result, simulator, seed=child(seed, "weigh"), rounds=EFFORTS[effort].rounds, drop_behind=drop_behind, progress=progress
-    )
+
+    def fit(experiments: tuple[Experiment, ...], near: Assimilation | None, own: int) -> Assimilation:
+        result = assimilate_estimating_noise(
+            prior,
+            ExperimentBatch(experiments, noise),
+            simulator,
+            rounds=NOISE_ROUNDS if estimate_noise else 0,
+            seed=child(own, "fit"),
+            options=options,
+            near=near,
+            progress=progress,
+        )
+        best = min(result.fits, key=lambda fit: fit.cost)
+        uncertain = NoisePrior(noise) if estimate_noise and determines_noise(best, result.batch) else None
+        rounds = EFFORTS[effort].rounds
+        own = child(own, "weigh")
+        return weigh(result, simulator, seed=own, rounds=rounds, drop_behind=drop_behind, noise=uncertain, progress=progress)
+
+    weighed, bad, left_out = fit(prepared.experiments, None, seed), None, ()
     evidence = evidences(weighed)
     posterior = update(weighed, evidence)
+    if check or frames == "robust":
+        bad = find_bad_frames(weighed[posterior.best.model], weighed.batch, simulator)
+    for number in range(_REFITS if frames == "robust" else 0):
+        single = tuple(frame for frame in bad.frames if frame.single) if bad else ()
+        if not single:
+            break
+        left_out += tuple(_as_recorded(frame, prepared.experiments) for frame in single)
+        weighed = fit(_without(weighed.batch.experiments, single), weighed, child(seed, "robust", number))
+        evidence = evidences(weighed)
+        posterior = update(weighed, evidence)
+        bad = find_bad_frames(weighed[posterior.best.model], weighed.batch, simulator)
+    prepared = replace(prepared, experiments=weighed.batch.experiments)
     found: tuple[PredictiveScore, ...] = ()
     if scores:
         own = child(seed, "scores")
@@ -403,7 +480,23 @@ def characterize(
     )
     moved = medium_sensitivities(weighed[posterior.best.model], weighed.batch, simulator, medium)
     seconds = time.process_time() - started
-    return Characterization(prepared, weighed, evidence, posterior, seconds, found, used, tested, medium, moved)
+    return Characterization(prepared, weighed, evidence, posterior, seconds, found, used, tested, medium, moved, bad, left_out)
+
+
+def _without(experiments: tuple[Experiment, ...], bad: tuple[BadFrame, ...]) -> tuple[Experiment, ...]:
+    """Experiments without the frames that look bad."""
+    kept = []
+    for experiment in experiments:
+        frames = torch.ones_like(experiment.times, dtype=torch.bool)
+        frames[[frame.frame for frame in bad if frame.experiment == experiment.label]] = False
+        kept.append(experiment.at(frames))
+    return tuple(kept)
+
+
+def _as_recorded(frame: BadFrame, experiments: tuple[Experiment, ...]) -> BadFrame:
+    """The frame with its number among all frames of the fitted window."""
+    times = next(e.times for e in experiments if e.label == frame.experiment)
+    return replace(frame, frame=int((times - frame.time).abs().argmin()))
 
 
 def predictive_band(
@@ -416,7 +509,7 @@ def predictive_band(
     seed: int = 0,
     times: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Posterior predictive quantiles (5, 50, 95 %) of single frames: three ``E x T`` tensors, R/Rmax.
+    """Posterior predictive quantiles (5, 50, 95 %) of single frames, over gel and noise: three ``E x T`` tensors, R/Rmax.
 
     Args:
         result: the fits, for the data and the nuisances.
@@ -435,7 +528,12 @@ def predictive_band(
     prediction = predict(simulator, part.parameters(controls), batch, shifts, times=times)
     # noise at its quantiles, not at random numbers, so that the band is smooth
     noise = torch.special.ndtri((torch.arange(_NOISE_LEVELS, dtype=torch.float64) + 0.5) / _NOISE_LEVELS)
-    sd, levels = batch.noise.sd(prediction, times), torch.tensor(LEVELS, dtype=prediction.dtype)
+    laws = None if fit.sample is None else fit.sample.noise_laws(draws)
+    if laws is None:
+        sd = batch.noise.sd(prediction, times)
+    else:  # each draw with a noise law of its own
+        sd = torch.stack([law.sd(curves, times) for law, curves in zip(laws, prediction, strict=True)])
+    levels = torch.tensor(LEVELS, dtype=prediction.dtype)
     rows = []
     for e in range(prediction.shape[1]):
         seen = prediction[:, e] + sd[:, e] * noise[:, None, None]

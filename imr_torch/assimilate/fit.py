@@ -147,9 +147,19 @@ class ModelFit:
 
     @property
     def posterior(self) -> ModelBelief:
-        """The belief after the data: the fitted Gaussian or, if ``REPAIRED``, moments of the weighed draws and 64 of these."""
+        """The belief after the data: the fitted Gaussian or, if ``REPAIRED``, moments of the weighed draws and 64 of these.
+
+        Where the draws integrate over the noise, a ``TRUSTED`` Gaussian has the change that makes in its mean and covariance,
+        and a ``REFUSED`` one that to first order.
+        """
         if self.verdict is not Verdict.REPAIRED:
-            return self._believed(self.mean, self.chol @ self.chol.mT)
+            mean, chol = self.mean, self.chol
+            noise = None if self.sample is None else self.sample.noise
+            if self.sample is not None and self.verdict is Verdict.TRUSTED:
+                mean, chol = self.sample.widened(mean, chol)
+            elif noise is not None:
+                mean, chol = noise.nodes.about.mean, noise.nodes.about.chol
+            return self._believed(mean, chol @ chol.mT)
         sample = self.sample
         assert sample is not None
         belief = self._believed(sample.mean, sample.covariance)
@@ -169,13 +179,14 @@ class ModelFit:
     def verdict(self) -> Verdict:
         """Whether the fitted Gaussian has the moments of the posterior.
 
-        ``TRUSTED``: importance weights are reliable and confirm its mean and covariance. ``REPAIRED``: they are reliable and
-        give other moments, which agree with those that the proposal of the last round was made for. ``REFUSED``: neither.
+        ``TRUSTED``: importance weights are reliable and, with the noise that the fit was made with, confirm its mean and
+        covariance. ``REPAIRED``: they are reliable and give other moments, which agree with those that the proposal of the last
+        round was made for. ``REFUSED``: neither.
         """
         sample = self.sample
         if sample is None:
             return Verdict.UNCHECKED
-        if sample.reliable and sample.divergence(self.mean, self.chol) < _SAME:
+        if sample.reliable and sample.as_fitted.divergence(self.mean, self.chol) < _SAME:
             return Verdict.TRUSTED
         return Verdict.REPAIRED if sample.reliable and sample.surprise < _AGAIN else Verdict.REFUSED
 

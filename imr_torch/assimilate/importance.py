@@ -6,12 +6,16 @@ estimated (Vehtari, Simpson, Gelman, Yao & Gabry, JMLR 25(72), 2024).
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from imr_torch.assimilate.noise_posterior import NoiseNodes
+from imr_torch.observe import Noise
 
 _ENOUGH = 20.0  # effective samples, and a tenth of all, below which no estimate is taken as reliable
 _LARGEST_SHAPE = 2.0  # of a tail, in an error; beyond it nothing is known
@@ -60,6 +64,36 @@ def reliable(pareto_k: float, effective_samples: float, samples: int) -> bool:
 
 
 @dataclass(frozen=True)
+class NoiseSample:
+    """Weighed draws under each of the noise laws over which they are integrated.
+
+    Args:
+        nodes: ``M`` laws with their prior probabilities.
+        by_experiment: ``n x M x E`` tensor, log likelihood of each experiment under each law, its nuisances integrated out.
+        drawn: ``n`` integers: one law of each draw, from its conditional posterior.
+    """
+
+    nodes: NoiseNodes
+    by_experiment: Tensor
+    drawn: Tensor
+
+    def likelihood_of(self, experiments: Sequence[int]) -> Tensor:
+        """``n`` tensor: log likelihood of some experiments together, the noise integrated over its prior."""
+        return torch.logsumexp(self.by_experiment[:, :, list(experiments)].sum(2) + self.nodes.log_prior.flatten(), 1)
+
+    @cached_property
+    def log_likelihood(self) -> Tensor:
+        """``n`` tensor: log likelihood of all experiments, the noise integrated over its prior."""
+        return self.likelihood_of(range(self.by_experiment.shape[2]))
+
+    def probabilities(self, weights: Tensor) -> Tensor:
+        """``M`` tensor: posterior probability of each law, by normalised weights of the draws."""
+        joint = self.by_experiment.sum(2) + self.nodes.log_prior.flatten()
+        each = torch.where(weights[:, None] > 0.0, torch.softmax(joint, 1), 0.0)
+        return weights @ each
+
+
+@dataclass(frozen=True)
 class ImportanceSample:
     """Weighed draws of one model's posterior.
 
@@ -67,7 +101,7 @@ class ImportanceSample:
         controls: ``n x d`` tensor, draws of the gel's controls ``v``.
         log_prior: ``n`` tensor, log density of ``v`` under the prior, a standard normal.
         by_experiment: ``n x E`` tensor, log likelihood of each experiment given ``v``, its nuisances integrated out (without
-            bias before the logarithm); ``-inf`` where a solve failed.
+            bias before the logarithm); ``-inf`` where a solve failed. Of the noise that the fit was made with.
         log_proposal: ``n`` tensor, log density of the proposal.
         nuisances: ``n x E x 3`` tensor, one draw of the nuisances given ``v`` and the data for each draw.
         centre: ``d`` tensor, mean of ``v`` that the proposal was made for.
@@ -75,6 +109,8 @@ class ImportanceSample:
         first_shape: ``k`` of the first round, whose proposal is the Gaussian with heavier tails.
         rounds: how many rounds of draws were made; these are of the last one, and its proposal does not depend on them.
         precisions: ``n x d x d`` tensor, of the posterior about each draw; None where not known.
+        noise: the draws under other noise laws, over which weights and all that follows are integrated; None where the noise
+            is taken as known.
 
     >>> import torch
     >>> from imr_torch.assimilate import ImportanceSample
@@ -98,14 +134,32 @@ class ImportanceSample:
     first_shape: float
     rounds: int
     precisions: Tensor | None = None
+    noise: NoiseSample | None = None
 
     def __len__(self) -> int:
         return len(self.controls)
 
     @property
+    def log_likelihood(self) -> Tensor:
+        """``n`` tensor, of all experiments; nuisances are integrated out, and the noise where it is uncertain."""
+        return self.by_experiment.sum(1) if self.noise is None else self.noise.log_likelihood
+
+    @property
     def log_target(self) -> Tensor:
-        """``n`` tensor, log of likelihood x prior of each draw, nuisances integrated out."""
+        """``n`` tensor, log of likelihood x prior of each draw, all else integrated out."""
+        return self.log_likelihood + self.log_prior
+
+    @property
+    def log_target_as_fitted(self) -> Tensor:
+        """``n`` tensor, the same with the noise that the fit was made with."""
         return self.by_experiment.sum(1) + self.log_prior
+
+    def without(self, experiments: Sequence[int]) -> Tensor:
+        """``n`` tensor: log density of some experiments given gel and all the others; nuisances and noise integrated out."""
+        if self.noise is None:
+            return self.by_experiment[:, list(experiments)].sum(1)
+        others = [e for e in range(self.by_experiment.shape[1]) if e not in experiments]
+        return self.noise.log_likelihood - self.noise.likelihood_of(others)
 
     @property
     def log_weights(self) -> Tensor:
@@ -145,6 +199,42 @@ class ImportanceSample:
     def surprise(self) -> float:
         """How far the moments are from those that the proposal was made for; see :meth:`divergence`."""
         return self.divergence(self.centre, self.spread)
+
+    @cached_property
+    def as_fitted(self) -> "ImportanceSample":
+        """The draws weighed with the noise that the fit was made with."""
+        return self if self.noise is None else replace(self, noise=None)
+
+    def widened(self, mean: Tensor, chol: Tensor) -> tuple[Tensor, Tensor]:
+        """A Gaussian of the posterior under the fit's noise, with what uncertain noise changes in mean and covariance.
+
+        Both changes are differences between two weightings of the same draws, so most of the chance in them cancels.
+
+        Args:
+            mean: ``d`` tensor.
+            chol: ``d x d`` tensor, Cholesky factor of the covariance.
+        """
+        if self.noise is None:
+            return mean, chol
+        fitted = self.as_fitted
+        before, after = (torch.linalg.cholesky(x.covariance) for x in (fitted, self))
+        return mean + self.mean - fitted.mean, chol @ torch.linalg.solve_triangular(before, after, upper=False)
+
+    @property
+    def noise_intervals(self) -> dict[str, list[float]] | None:
+        """5, 50 and 95 % quantiles of scale, constant part (R*) and correlation time (t*); None where the noise is known."""
+        if self.noise is None:
+            return None
+        probabilities, found = self.noise.probabilities(self.weights), {}
+        for name, values in self.noise.nodes.values.items():
+            order = values.argsort()
+            at = torch.searchsorted(probabilities[order].cumsum(0), torch.tensor((0.05, 0.5, 0.95)).double())
+            found[name] = values[order][at.clamp_max(len(values) - 1)].tolist()
+        return found
+
+    def noise_laws(self, count: int) -> list[Noise] | None:
+        """``count`` noise laws of the posterior, of equal weight; None where the noise is known."""
+        return None if self.noise is None else [self.noise.nodes.law(int(n)) for n in self.noise.drawn[self.spaced(count)]]
 
     def divergence(self, mean: Tensor, chol: Tensor) -> float:
         """Kullback-Leibler divergence of a Gaussian from that with the moments found, nats, less its expectation by chance.

@@ -42,7 +42,7 @@ def lower_point(fit: ModelFit, best: float, batch: ExperimentBatch, simulator: S
     assert fit.sample is not None
     if fit.far_behind(best) or _excess(fit) <= _MORE:
         return None
-    likeliest = fit.sample.log_target.argsort(descending=True)[:_LIKELIEST]
+    likeliest = fit.sample.log_target_as_fitted.argsort(descending=True)[:_LIKELIEST]
     posterior, point = (
         Posterior(fit.prior, batch, simulator),
         Point(fit.sample.controls[likeliest], fit.sample.nuisances[likeliest]),
@@ -107,4 +107,4 @@ def _excess(fit: ModelFit) -> float:
     """Log probability of the most probable draw over that of the optimum, whose nuisances its Gaussian integrates out."""
     assert fit.sample is not None
     at_optimum = -fit.cost - 0.5 * fit.nuisance_log_det - 0.5 * len(fit.mean) * math.log(2.0 * math.pi)
-    return float(fit.sample.log_target.max()) - at_optimum
+    return float(fit.sample.log_target_as_fitted.max()) - at_optimum

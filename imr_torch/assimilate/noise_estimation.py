@@ -1,8 +1,9 @@
 """Assimilation of measured curves with their noise law estimated from the residuals.
 
-All models are fitted with the noise law as given; a law is fitted to the residuals of the best model; all models are fitted
-again with that law. A model that misses the data thus gets a larger noise and wider intervals. Only the residuals of the
-earlier fits are used, so these end within a tenth of a nat of a minimum.
+All models are fitted with the noise law as given; the most probable law is found about the best model; all models are fitted
+again with that law. A model that misses the data thus gets a larger noise and wider intervals. Only the residuals and
+sensitivities of the earlier fits are used, so these end within a tenth of a nat of a minimum. What the uncertainty of the law
+means for gel and evidence is left to :func:`imr_torch.assimilate.weigh`.
 """
 
 from dataclasses import replace
@@ -12,16 +13,21 @@ import torch
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, ModelFit
 from imr_torch.assimilate.map_fit import assimilate
+from imr_torch.assimilate.noise_posterior import NoisePrior, most_probable_law
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
+from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
-from imr_torch.observe import ExperimentBatch, Noise, fit_noise
+from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 NOISE_ROUNDS = 2
 """How often the noise of measured curves is estimated: from fits with the given law, and from fits with the first estimate."""
+
+_FEWEST = 10
+"""Degrees of freedom that residuals must have for the noise to be estimated from them."""
 
 _GRADIENT, _AGREEMENT = 0.3, 1.0  # tolerances (posterior standard deviations, nats) of all fits but the last
 
@@ -34,6 +40,7 @@ def assimilate_estimating_noise(
     rounds: int,
     seed: int,
     options: FitOptions | None = None,
+    near: Assimilation | None = None,
     warn: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:
@@ -41,11 +48,12 @@ def assimilate_estimating_noise(
 
     Args:
         belief: prior; not changed.
-        batch: the experiments; the first fits are made with their noise (see :func:`imr_torch.observe.fit_noise`).
+        batch: the experiments; the first fits are made with their noise.
         simulator: makes the bubbles.
         rounds: how often the noise is estimated and the fits made again; with 0 it is as given.
         seed: of starts and ensembles.
         options: the method and its settings, :func:`assimilate` by default; tolerances are those of the last fits.
+        near: fits of the same belief and experiments, with other noise or frames, to start from.
         warn: as for :func:`assimilate`, of the last fits.
         progress: called with one line per iteration.
 
@@ -65,7 +73,7 @@ def assimilate_estimating_noise(
     >>> shot, options = laboratory.shoot(torch.tensor([400.0, 0.22]).double(), seed=1), SearchOptions(scouts=16, starts=2)
     >>> fits = assimilate_estimating_noise(case.prior, ExperimentBatch((shot,)), simulator, rounds=1, seed=0, options=options)
     >>> round(fits.batch.noise.scale, 1)  # times the published law
-    1.9
+    2.0
     """
     gaps = [e.label for e in batch.experiments if e.has_gaps]
     if rounds and gaps:
@@ -82,9 +90,9 @@ def assimilate_estimating_noise(
         how, warned = options if last else _coarse(options), warn and last
         return assimilate(belief, batch, simulator, seed=own, options=how, near=near, warn=warned, progress=progress)
 
-    result = fit(batch, 0, None)
+    result = fit(batch, 0, near)
     for number in range(1, rounds + 1):
-        batch = ExperimentBatch(batch.experiments, noise_of_residuals(result, law))
+        batch = ExperimentBatch(batch.experiments, estimated_noise(result, law, simulator))
         if progress:
             progress(f"noise {batch.noise}")
         result = fit(batch, number, result)
@@ -96,17 +104,26 @@ def _coarse(options: SearchOptions) -> SearchOptions:
     return replace(options, gradient=max(_GRADIENT, options.gradient), agreement=max(_AGREEMENT, options.agreement))
 
 
-def noise_of_residuals(result: Assimilation, law: Noise) -> Noise:
-    """Noise of one curve, a law fitted to the residuals of the model of lowest cost."""
+def estimated_noise(result: Assimilation, law: Noise, simulator: Simulator) -> Noise:
+    """Noise of one curve: the most probable law about the model of lowest cost (:func:`most_probable_law`).
+
+    The law as it was, where the fit left fewer than ten degrees of freedom.
+
+    Args:
+        result: the fits.
+        law: to begin with; slope and drift keep their proportion, and the floor is that of the law or more.
+        simulator: makes the bubbles.
+    """
     best, batch = min(result.fits, key=lambda fit: fit.cost), result.batch
-    residuals, predictions, times = [], [], []
-    for e, experiment in enumerate(batch.experiments):
-        frames = batch.mask[e]
-        missed = (batch.mean[e] - best.prediction[e])[frames]
-        residuals.append(missed * experiment.counts.sqrt())  # the mean of n curves errs by that of one over sqrt(n)
-        predictions.append(best.prediction[e][frames])
-        times.append(batch.times[e][frames])
-    return fit_noise(law, residuals, predictions, times, fitted=_freedom(best, batch))
+    if not determines_noise(best, batch):
+        return law
+    near = Posterior(best.prior, batch, simulator).neighbourhood(best.point)
+    return most_probable_law(near, NoisePrior(law))
+
+
+def determines_noise(fit: ModelFit, batch: ExperimentBatch) -> bool:
+    """Whether a fit leaves ten degrees of freedom or more, from which on residuals determine the noise."""
+    return float(batch.mask.sum()) - _freedom(fit, batch) >= _FEWEST
 
 
 def _freedom(fit: ModelFit, batch: ExperimentBatch) -> float:

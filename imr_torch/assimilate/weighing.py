@@ -19,8 +19,9 @@ from torch import Tensor
 
 from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
-from imr_torch.assimilate.importance import ImportanceSample, smooth
+from imr_torch.assimilate.importance import ImportanceSample, NoiseSample, smooth
 from imr_torch.assimilate.lower import lower_minima, lower_point
+from imr_torch.assimilate.noise_posterior import NoiseNodes, NoisePrior
 from imr_torch.assimilate.posterior import Point, Posterior
 from imr_torch.assimilate.proposals import Kernels, mixture_log_prob, student_draws, student_log_prob
 from imr_torch.assimilate.ridge import trace_ridge
@@ -45,7 +46,8 @@ class _Draws:
         controls: ``n x d`` tensor.
         nuisances: ``n x K x E x 3`` tensor: opposite pairs, or (``K = 1``) all zero where none is uncertain.
         log_ratio: ``n x K x E`` tensor, log of prior over proposal of the nuisances.
-        uniforms: ``n x E`` tensor of uniform random numbers, by which one of the nuisances of each is kept.
+        uniforms: ``n x (E + 1)`` tensor of uniform random numbers, by which one of the nuisances of each is kept, and (the
+            last) one noise law.
     """
 
     controls: Tensor
@@ -61,11 +63,12 @@ class _Round:
     controls: Tensor
     by_experiment: Tensor
     nuisances: Tensor
+    noise: NoiseSample | None = None
 
     @property
     def likelihood(self) -> Tensor:
-        """``n`` tensor, log likelihood of all experiments."""
-        return self.by_experiment.sum(1)
+        """``n`` tensor, log likelihood of all experiments, the noise integrated out where it is uncertain."""
+        return self.by_experiment.sum(1) if self.noise is None else self.noise.log_likelihood
 
     @property
     def log_prior(self) -> Tensor:
@@ -79,6 +82,7 @@ class _State:
 
     Args:
         fit: the fit.
+        nodes: noise laws over which its posterior is integrated; None where the noise is known, or not yet made.
         refits: times that it was made again, or tried to be.
         proposals: of each round since.
         parts: draws of each round since.
@@ -86,10 +90,16 @@ class _State:
     """
 
     fit: ModelFit
+    nodes: NoiseNodes | None = None
     refits: int = 0
     proposals: list[Kernels] = field(default_factory=list)
     parts: list[_Round] = field(default_factory=list)
     drawn: int = 0
+
+    @property
+    def about(self) -> ModelFit:
+        """The fit, with the moments of its posterior over all noise laws where these are uncertain."""
+        return self.fit if self.nodes is None else replace(self.fit, **vars(self.nodes.about))
 
     @property
     def refused(self) -> bool:
@@ -106,6 +116,7 @@ def weigh(
     rounds: int = 4,
     drop_behind: float | None = None,
     refit: bool = True,
+    noise: NoisePrior | None = None,
     progress: Progress | None = None,
 ) -> Assimilation:
     """Weigh draws about every fit by the exact posterior.
@@ -122,6 +133,8 @@ def weigh(
         drop_behind: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
             evidence is, by reliable weights.
         refit: whether a model of which a draw has a lower cost than its minimum is fitted again from there, and weighed anew.
+        noise: prior of the noise law, which is then integrated out: the likelihood of each draw is summed over the laws
+            that matter (:class:`imr_torch.assimilate.NoiseNodes`). The law of the batch is taken as known when not given.
         progress: called with one line per round.
 
     Returns:
@@ -152,8 +165,11 @@ def weigh(
     while waiting:
         number += 1
         for state in waiting:
+            if noise is not None and state.nodes is None:
+                posterior = Posterior(state.fit.prior, batch, simulator)
+                state.nodes = NoiseNodes.near(posterior.neighbourhood(state.fit.point), noise)
             state.proposals.append(_proposal(state, batch, simulator))
-            state.parts.append(_simulate(state.fit, _draw(state, batch, samples, seed, simulator), batch, simulator))
+            state.parts.append(_simulate(state, _draw(state, batch, samples, seed, simulator), batch, simulator))
             state.drawn += 1
             state.fit = _judge(state.fit, state.proposals[-1], state.parts[-1])
         if progress:
@@ -185,13 +201,13 @@ def _fit_again(
     for state, _ in doubtful:
         state.refits += 1
         if state.fit.model in lower:
-            state.fit, state.proposals, state.parts = lower[state.fit.model], [], []
+            state.fit, state.nodes, state.proposals, state.parts = lower[state.fit.model], None, [], []
 
 
 def _proposal(state: _State, batch: ExperimentBatch, simulator: Simulator) -> Kernels:
     """The proposal of the next round: the fit's Gaussian, then its ridge, then one from all its draws so far."""
     if not state.parts:
-        return Kernels.about(state.fit.mean, state.fit.chol)
+        return Kernels.about(state.about.mean, state.about.chol)
     if len(state.parts) == 1:
         return trace_ridge(state.fit, batch, simulator)
     return _again(state.proposals, state.parts)
@@ -210,12 +226,14 @@ def _ahead(fits: list[ModelFit], drop_behind: float | None) -> set[str]:
 
 def _draw(state: _State, batch: ExperimentBatch, samples: int, seed: int, simulator: Simulator) -> _Draws:
     """Draws of the gel, and of the nuisances given the gel; those are placed anew for each gel after the first round."""
-    fit, number = state.fit, len(state.parts)
+    fit, about, number = state.fit, state.about, len(state.parts)
     sure = not bool((batch.nuisance_sds > 0.0).any())
     samples *= 2 ** max(0, number - (1 if sure else 2))
     source, experiments = generator(child(seed, "weigh", fit.model, state.drawn)), len(batch.experiments)
     controls = state.proposals[-1].draw(samples, source)
     uniforms = torch.rand(samples, experiments, generator=source, dtype=torch.float64)
+    by_law = torch.rand(samples, 1, generator=generator(child(seed, "laws", fit.model, state.drawn)), dtype=torch.float64)
+    uniforms = torch.cat((uniforms, by_law), 1)
     if sure:
         still = torch.zeros(samples, 1, experiments, 3, dtype=torch.float64)
         return _Draws(controls, still, still[..., 0], uniforms)
@@ -224,10 +242,11 @@ def _draw(state: _State, batch: ExperimentBatch, samples: int, seed: int, simula
     normal = torch.randn(samples, pairs, experiments, 3, generator=source, dtype=torch.float64)
     half = torch.where(uncertain, student_draws(normal.shape, _FREEDOM, source), normal)
     noise = torch.cat((half, -half), dim=1)
-    centre, chol = fit.nuisances_at(controls), fit.nuisance_chol.expand(samples, -1, -1, -1)
+    centre, chol = about.nuisances_at(controls), about.nuisance_chol.expand(samples, -1, -1, -1)
     if number:
-        posterior = Posterior(fit.prior, batch, simulator)
-        centre, chol = conditional_nuisances(posterior, Point(controls, centre), chol)
+        posterior, fitted = Posterior(fit.prior, batch, simulator), fit.nuisance_chol
+        centre, chol = conditional_nuisances(posterior, Point(controls, centre), fitted.expand(samples, -1, -1, -1))
+        chol = chol @ torch.linalg.solve_triangular(fitted, about.nuisance_chol, upper=False)
     deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)[..., 0]
     nuisances = centre[:, None] + deviation
     log_prior = _standard_log_prob(nuisances).sum(-1)
@@ -243,22 +262,44 @@ def _standard_log_prob(values: Tensor) -> Tensor:
     return -0.5 * (values.square() + math.log(2.0 * math.pi))
 
 
-def _simulate(fit: ModelFit, draws: _Draws, batch: ExperimentBatch, simulator: Simulator) -> _Round:
+def _simulate(state: _State, draws: _Draws, batch: ExperimentBatch, simulator: Simulator) -> _Round:
     """Likelihoods of the draws of a model."""
     count = draws.nuisances.shape[:2]
     point = Point(draws.controls.repeat_interleave(count[1], 0), draws.nuisances.flatten(0, 1))
-    prediction = Posterior(fit.prior, batch, simulator).predict(point)
-    return _integrate(draws, batch.log_likelihood(prediction).unflatten(0, count))
+    prediction = Posterior(state.fit.prior, batch, simulator).predict(point).unflatten(0, count)
+    likelihood = batch.log_likelihood(prediction)
+    by_experiment = _mean_over_nuisances(draws, likelihood)
+    if state.nodes is None:
+        return _Round(draws.controls, by_experiment, _kept(draws, likelihood))
+    nodes = state.nodes
+    parts = [_mean_over_nuisances(draws, nodes.log_likelihood(batch, prediction, j)) for j in range(len(nodes.pairs))]
+    by_law = torch.cat(parts).movedim(0, 1)  # n x M x E
+    drawn = _drawn_laws(nodes, by_law, draws.uniforms[:, -1])
+    for pair in (drawn // nodes.log_scales.shape[1]).unique().tolist():
+        rows = torch.nonzero(drawn // nodes.log_scales.shape[1] == pair)[:, 0]
+        number = drawn[rows] % nodes.log_scales.shape[1]
+        likelihood[rows] = nodes.log_likelihood(batch, prediction[rows], pair)[number, torch.arange(len(rows))]
+    return _Round(draws.controls, by_experiment, _kept(draws, likelihood), NoiseSample(nodes, by_law, drawn))
 
 
-def _integrate(draws: _Draws, likelihood: Tensor) -> _Round:
-    """Mean over the nuisances of each draw of the likelihood (``n x K x E``), and one of them, in proportion to its part."""
-    weights = likelihood + draws.log_ratio
-    by_experiment = torch.logsumexp(weights, dim=1) - math.log(weights.shape[1])
+def _mean_over_nuisances(draws: _Draws, likelihood: Tensor) -> Tensor:
+    """Logarithm of the mean over the nuisances of each draw of the likelihood: ``... x n x K x E`` to ``... x n x E``."""
+    return torch.logsumexp(likelihood + draws.log_ratio, dim=-2) - math.log(likelihood.shape[-2])
+
+
+def _kept(draws: _Draws, likelihood: Tensor) -> Tensor:
+    """One of the nuisances of each draw and experiment, in proportion to its part of the likelihood (``n x K x E``)."""
+    weights, experiments = likelihood + draws.log_ratio, likelihood.shape[2]
     share = torch.softmax(weights.flip(1).nan_to_num(neginf=-1e300), 1).cumsum(1)[:, :-1]
-    kept = weights.shape[1] - 1 - (draws.uniforms[:, None] >= share).sum(1)
-    kept = draws.nuisances.gather(1, kept[:, None, :, None].expand(-1, 1, -1, 3))[:, 0]
-    return _Round(draws.controls, by_experiment, kept)
+    kept = weights.shape[1] - 1 - (draws.uniforms[:, None, :experiments] >= share).sum(1)
+    return draws.nuisances.gather(1, kept[:, None, :, None].expand(-1, 1, -1, 3))[:, 0]
+
+
+def _drawn_laws(nodes: NoiseNodes, by_law: Tensor, uniforms: Tensor) -> Tensor:
+    """One noise law of each draw, in proportion to its part of the likelihood: ``n`` integers."""
+    weights = (by_law.sum(2) + nodes.log_prior.flatten()).nan_to_num(neginf=-1e300)
+    share = torch.softmax(weights, 1).cumsum(1)
+    return torch.searchsorted(share, uniforms[:, None].contiguous())[:, 0].clamp_max(share.shape[1] - 1)
 
 
 def _judge(fit: ModelFit, proposal: Kernels, part: _Round) -> ModelFit:
@@ -279,6 +320,7 @@ def _judge(fit: ModelFit, proposal: Kernels, part: _Round) -> ModelFit:
         first_shape=first,
         rounds=rounds,
         precisions=proposal.precisions_at(part.controls),
+        noise=part.noise,
     )
     return replace(fit, sample=sample)
 

@@ -21,6 +21,7 @@ from imr_torch.assimilate import (
     FitOptions,
     ImportanceSample,
     ModelFit,
+    NoisePrior,
     Point,
     Posterior,
     SearchOptions,
@@ -56,6 +57,7 @@ class Arrangement:
         learn: what the inference is given of the experiments; the data with their own noise when not given. Lets a
             wrong inference be tested, or one with less information.
         noise_rounds: how often the inference estimates the noise from its residuals.
+        integrate_noise: whether the noise, where it is estimated, is integrated out, as in a characterisation.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.calibration import Arrangement
@@ -71,6 +73,7 @@ class Arrangement:
     options: FitOptions = field(default_factory=SearchOptions)
     learn: Learn | None = None
     noise_rounds: int = 0
+    integrate_noise: bool = True
 
 
 @dataclass(frozen=True)
@@ -201,7 +204,9 @@ def _inferred(arrangement: Arrangement, truth: _Truth, seed: int, simulator: Sim
             options=arrangement.options,
             warn=False,
         )
-        result = weigh(fitted, simulator, seed=child(seed, "weigh"), samples=arrangement.samples)
+        uncertain = arrangement.noise_rounds > 0 and arrangement.integrate_noise
+        noise = NoisePrior(batch.noise) if uncertain else None
+        result = weigh(fitted, simulator, seed=child(seed, "weigh"), samples=arrangement.samples, noise=noise)
     except ConvergenceError as error:
         return Replicate(0, truth.model, failure=str(error))
     fit = result[truth.model]
@@ -293,7 +298,7 @@ def information(result: Assimilation) -> float:
     gains = []
     for fit in result.fits:
         sample = _sample(fit)
-        seen = torch.where(sample.weights > 0.0, sample.by_experiment.sum(1), 0.0)
+        seen = torch.where(sample.weights > 0.0, sample.log_likelihood, 0.0)
         gains.append(sample.weights @ seen - sample.log_evidence)
     terms = after.exp() * (after - prior + torch.stack(gains))
     return float(torch.where(after.exp() > 0.0, terms, 0.0).sum())

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from imr_torch.assimilate import NOISE_ROUNDS
-from imr_torch.characterize import EFFORTS, characterize
+from imr_torch.characterize import EFFORTS, FRAMES, characterize
 from imr_torch.cli.common import (
     COLLAPSES,
     METHODS,
@@ -79,6 +79,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=tuple(EFFORTS),
         default="normal",
         help="how far draws are weighed where they do not settle the intervals of a model (default normal)",
+    )
+    parser.add_argument(
+        "--frames",
+        choices=FRAMES,
+        default="all",
+        help="single bad frames are named; `robust` leaves them out of the fit too (default all)",
     )
     parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
     parser.add_argument("--html", metavar="FILE", help="write the result with its figures as one HTML file")
@@ -153,6 +159,7 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -
         scores=args.scores,
         effort=args.effort,
         medium=medium,
+        frames=args.frames,
         seed=args.seed,
         progress=progress_of(args, characterize_stages(rounds, scores=args.scores), label),
     )

@@ -236,23 +236,47 @@ class ExperimentBatch:
             scaled = own * scaled - before * previous(scaled)
         return scaled * self.counts.sqrt()
 
+    def terms(self, prediction: Tensor, sd: Tensor, innovations: tuple[Tensor, Tensor] | None) -> tuple[Tensor, Tensor]:
+        """Squared misfit and normaliser of each experiment under any noise: two ``... x E`` tensors, the second in nats.
+
+        The log likelihood is minus half the first, minus the second; noise that is ``s`` times as large divides the first by
+        ``s**2`` and adds ``log s`` for each observation (:attr:`sizes`) to the second.
+
+        Args:
+            prediction: ``... x E x T`` tensor.
+            sd: ``... x E x T`` tensor, noise of one repeat; 1 in the padding.
+            innovations: as of :meth:`Noise.innovations`, ``... x E x T`` each; None for independent frames.
+        """
+        weight = torch.where(self.mask, 1.0 / sd, 0.0)
+        misfit, log_sd = weight * (self.mean - prediction), sd.log()
+        if innovations is not None:
+            own, before = innovations
+            misfit, log_sd = own * misfit - before * previous(misfit), log_sd - own.log()
+        counts = torch.where(self.mask, self.counts, 0.0)
+        square, normaliser = counts * misfit.square(), counts * (log_sd + 0.5 * math.log(2.0 * math.pi))
+        if max(e.repeats for e in self.experiments) > 1:
+            square = square + self._scattered(weight, innovations)
+        return square.sum(-1), normaliser.sum(-1)
+
+    def _scattered(self, weight: Tensor, innovations: tuple[Tensor, Tensor] | None) -> Tensor:
+        """Whitened squares of the deviations of the repeats from their mean, for weights ``... x E x T``."""
+        squares, products = self._scatter
+        if innovations is None:
+            return weight.square() * squares
+        own, before = innovations
+        last = before * previous(weight)
+        both = (own * weight).square() * squares - 2.0 * own * weight * last * products
+        return both + last.square() * previous(squares)
+
+    @cached_property
+    def sizes(self) -> Tensor:
+        """``E`` tensor: observations of each experiment, all repeats and frames."""
+        return torch.where(self.mask, self.counts, 0.0).sum(-1)
+
     def log_likelihood(self, prediction: Tensor) -> Tensor:
         """Log density of all repeats and frames of each experiment: ``... x E x T`` to ``... x E``; ``-inf`` for NaN."""
-        sd = self.sd(prediction)
-        square = self.whiten(self.mean - prediction, sd).square().sum(-1)
-        weight = torch.where(self.mask, 1.0 / sd, 0.0)
-        log_sd = sd.log()
-        squares, products = self._scatter
-        if self._innovations is None:
-            scatter = (weight.square() * squares).sum(-1)
-        else:
-            own, before = self._innovations
-            last = before * previous(weight)
-            scatter = ((own * weight).square() * squares - 2.0 * own * weight * last * products).sum(-1)
-            scatter = scatter + (last.square() * previous(squares)).sum(-1)
-            log_sd = log_sd - own.log()
-        normaliser = (torch.where(self.mask, self.counts, 0.0) * (log_sd + 0.5 * math.log(2.0 * math.pi))).sum(-1)
-        value = -0.5 * square - 0.5 * scatter - normaliser
+        square, normaliser = self.terms(prediction, self.sd(prediction), self._innovations)
+        value = -0.5 * square - normaliser
         return torch.where(torch.isnan(value), -torch.inf, value)
 
 

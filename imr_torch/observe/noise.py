@@ -13,10 +13,10 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 
-_CORRELATION_TIMES = (0.0, 0.02, 0.04, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4)
+_CORRELATION_TIMES = (0.0, 0.02, 0.04, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6, 2.26, 3.2)
 _FEWEST = 10  # degrees of freedom from which on residuals determine the noise
 _TIE = 1e-6  # nats; a law without slope and drift has the same likelihood at every floor
-_FLOORS = (1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 16.0, 25.0)  # times the floor of the law, at its scale
+_FLOORS = (1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 16.0, 25.0, 40.0, 60.0, 100.0)  # times the floor of the law, at its scale
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 
+from imr_torch.assimilate import BadFrame, NoiseEdge
 from imr_torch.html import Block, Picture, Preformatted, Table, page
 from imr_torch.material import PARAMETERS, material
 from imr_torch.results.figures import draw_figures
@@ -127,6 +128,7 @@ def setting_rows(document: Mapping[str, Any], best: str) -> list[tuple[str, str]
             f"{noise['scale']:.2f} x the published law with {noise['scale'] * noise['floor']:.4f} in R* everywhere, "
             + (f"correlated over {noise['correlation_time']:g} in t*" if noise["correlation_time"] else "independent frames"),
         ),
+        *_noise_rows(document),
     ]
     known = next((part.get("known") for part in document["belief"]["models"] if part.get("model") == best), None)
     if known:
@@ -136,6 +138,23 @@ def setting_rows(document: Mapping[str, Any], best: str) -> list[tuple[str, str]
     rows += assumed_rows(document)
     if "software" in document:
         rows.append(("Made by", footer(document)))
+    return rows
+
+
+def _noise_rows(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """How uncertain the noise is, what lies at an end of its range, and which frames look bad."""
+    rows, found = [], document.get("noise_intervals")
+    if found:
+        parts = (("scale", "multiple"), ("constant", "constant part (R*)"), ("correlation_time", "correlation time (t*)"))
+        values = ", ".join(f"{words} {found[name][0]:.3g} to {found[name][2]:.3g}" for name, words in parts)
+        rows.append(("Noise, 90 %", f"{values}; intervals and probabilities integrate over it"))
+    rows += [("Noise, end of range", str(NoiseEdge(**edge))) for edge in document.get("noise_edges", ())]
+    bad: Mapping[str, Any] = document.get("bad_frames") or {"frames": ()}
+    for title, frames in (("Frame that looks bad", bad["frames"]), ("Left out as bad", document.get("frames_left_out", ()))):
+        rows += [(title, str(BadFrame(**frame))) for frame in frames]
+    if bad["frames"] and bad["intervals_without"]:
+        values = "; ".join(f"{name} {PARAMETERS[name].interval(*x)}" for name, x in bad["intervals_without"].items())
+        rows.append(("Without those that stand alone", f"{values} (to first order)"))
     return rows
 
 

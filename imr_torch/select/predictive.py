@@ -165,10 +165,13 @@ def cross_validate(
         found = [_leave_out(fit, batch, fold) for fit in assimilation.fits]
         poor = [i for i, (_, trusted) in enumerate(found) if not trusted]
         if poor:
+            whole = assimilation.fits[poor[0]].sample
+            assert whole is not None
             near = _restricted(assimilation, poor, [e for e in range(count) if e not in fold])
             seed_of_fit = child(seed, "fit", number)
             again = assimilate(near.prior, near.batch, simulator, seed=seed_of_fit, options=options, near=near)
-            again = weigh(again, simulator, seed=child(seed, "weigh", number), samples=samples)
+            noise = None if whole.noise is None else whole.noise.nodes.prior
+            again = weigh(again, simulator, seed=child(seed, "weigh", number), samples=samples, noise=noise)
             for i, fit in zip(poor, again.fits, strict=True):
                 found[i] = _refitted(found[i][0], assimilation.fits[i], fit), True
         scores += [score for score, _ in found]
@@ -219,7 +222,7 @@ def _leave_out(fit: ModelFit, batch: ExperimentBatch, fold: Sequence[int]) -> tu
     log_evidence(fit)  # says what to do where the fit is not weighed
     sample = fit.sample
     assert sample is not None
-    seen = sample.by_experiment[:, list(fold)].sum(1)
+    seen = sample.without(fold)
     log_weights, shape = smooth(torch.where(torch.isfinite(seen), sample.log_weights - seen, -torch.inf))
     without = torch.softmax(log_weights, dim=0)
     trusted = reliable(shape, float(kish(without)), len(sample))

@@ -1,0 +1,308 @@
+"""Single bad frames: the posterior probability of each frame that its error is far larger than the noise, and what it changes.
+
+Each frame is bad with a small prior probability, and then has an extra, independent error of eight times its noise (a
+contamination model: Box & Tiao, Biometrika 55, 1968). A frame is compared with all others through the fitted model: its
+deletion residual, from the joint Gaussian of frames, gel and nuisances linearised about the fit, so that correlated noise and
+what was fitted are accounted for. Which frames are bad is found one frame after the other (iterated conditional modes), so the
+probabilities are given the other frames that are named.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate.fit import ModelFit
+from imr_torch.assimilate.masking import away_from_collapses
+from imr_torch.assimilate.posterior import Posterior
+from imr_torch.material import PARAMETERS, ModelBelief
+from imr_torch.observe import ExperimentBatch
+from imr_torch.simulate import Simulator
+
+PRIOR = 0.01
+"""Probability of a frame to be bad, before the data."""
+
+_EXTRA = 8.0  # standard deviations of the noise, of the extra error of a bad frame
+_DELETED = 1e6  # times that variance, with which a frame says nothing
+_NAMED = 0.5  # posterior probability from which on a frame is named
+_MOST = 3000  # frames in all; memory grows with their square
+_LARGEST = 0.25  # share of the frames that may be named; more are a misfit, not single frames
+_RUN = 3  # bad frames side by side that are a misfit
+_LEVELS = (0.05, 0.5, 0.95)
+_ROUNDS = 10
+_LEAST = 0.5  # smallest noise, over that of the fit, that residuals of the good frames may show
+_CONSISTENT = 1.482602  # standard deviation over median absolute deviation of a Gaussian
+
+
+@dataclass(frozen=True)
+class BadFrame:
+    """A frame that looks bad.
+
+    Args:
+        experiment: label of its curve.
+        frame: its number among the fitted frames of the curve, from 0.
+        time: t*.
+        probability: that it is bad, given the other frames that are named.
+        error: observed minus expected from all other frames, R*.
+        sigma: the same in standard deviations of what is expected.
+        near_collapse: whether it is at or next to a collapse, where a model that misses the curve errs in single frames too.
+        in_run: whether it is one of three or more such frames side by side, which is no single bad frame but a misfit.
+
+    >>> from imr_torch.assimilate import BadFrame
+    >>> print(BadFrame("shot 2", 12, 0.61, 0.98, 0.043, 6.1, False))
+    shot 2, frame 12 (t* 0.610): 6.1 sd off (+0.0430 in R*), bad with probability 0.98
+    """
+
+    experiment: str
+    frame: int
+    time: float
+    probability: float
+    error: float
+    sigma: float
+    near_collapse: bool
+    in_run: bool = False
+
+    @property
+    def single(self) -> bool:
+        """Whether it stands alone away from collapses; at one, a frame is no longer linear in gel and nuisances."""
+        return not (self.near_collapse or self.in_run)
+
+    def __str__(self) -> str:
+        collapse = "; next to a collapse, where a model that misses the curve looks the same" if self.near_collapse else ""
+        collapse += "; in a run of such frames, so more likely a misfit of the model" if self.in_run else ""
+        return (
+            f"{self.experiment}, frame {self.frame} (t* {self.time:.3f}): {abs(self.sigma):.1f} sd off "
+            f"({self.error:+.4f} in R*), bad with probability {self.probability:.2f}{collapse}"
+        )
+
+
+@dataclass(frozen=True)
+class BadFrames:
+    """Frames that look bad under one model.
+
+    Args:
+        model: key of the model.
+        frames: those that are bad with a probability above one half, in the order of curves and frames.
+        without: the model's posterior without those that stand alone, to first order; None where there are none.
+        reason: why it was not tested; empty where it was.
+
+    >>> from imr_torch.assimilate import BadFrames
+    >>> BadFrames("nhkv", ()).lines()
+    ['No single frame looks bad.']
+    """
+
+    model: str
+    frames: tuple[BadFrame, ...]
+    without: ModelBelief | None = None
+    reason: str = ""
+
+    def lines(self) -> list[str]:
+        """In words: the frames, and the intervals without them."""
+        if self.reason:
+            return [f"Not tested whether single frames are bad: {self.reason}"]
+        if not self.frames:
+            return ["No single frame looks bad."]
+        lines = [f"{len(self.frames)} frame(s) look bad:", *(f"  {frame}" for frame in self.frames)]
+        if self.without is None:
+            return lines
+        rows = zip(self.without.names, self.without.quantile(_LEVELS).T.tolist(), strict=True)
+        values = [f"{name} {PARAMETERS[name].interval(*quantiles)}" for name, quantiles in rows]
+        return [*lines, f"  without those that stand alone, to first order: {'; '.join(values)}"]
+
+    def to_dict(self) -> dict[str, object]:
+        """JSON-ready values."""
+        intervals = None
+        if self.without is not None:
+            values = self.without.quantile(_LEVELS).T.tolist()
+            intervals = dict(zip(self.without.names, values, strict=True))
+        return {
+            "model": self.model,
+            "frames": [vars(frame) for frame in self.frames],
+            "intervals_without": intervals,
+            "reason": self.reason,
+            "prior_probability": PRIOR,
+        }
+
+
+@dataclass(frozen=True)
+class _Field:
+    """The joint Gaussian of all frames.
+
+    Args:
+        precision: ``N x N`` tensor, gel and nuisances integrated out.
+        pull: ``N`` tensor, precision times observed minus mean.
+        extra: ``N`` tensor, variance of the extra error of a bad frame.
+        slopes: ``N x d`` tensor, sensitivities to the whitened gel.
+    """
+
+    precision: Tensor
+    pull: Tensor
+    extra: Tensor
+    slopes: Tensor
+
+    def with_bad(self, bad: Tensor, factor: float = 1.0) -> "_Field":
+        """With the extra error, times a factor, of some frames (``N`` booleans)."""
+        at = torch.nonzero(bad)[:, 0]
+        columns = self.precision[:, at]
+        inner = torch.diag(1.0 / (factor * self.extra[at])) + columns[at]
+        solved = torch.linalg.solve(inner, torch.cat((columns.mT, self.pull[at, None]), 1))
+        pull = self.pull - columns @ solved[:, -1]
+        return _Field(self.precision - columns @ solved[:, :-1], pull, self.extra, self.slopes)
+
+    @property
+    def deletion(self) -> tuple[Tensor, Tensor]:
+        """Each frame less what all others predict, and the variance of that: two ``N`` tensors."""
+        variance = 1.0 / self.precision.diagonal()
+        return self.pull * variance, variance
+
+    @property
+    def gel(self) -> tuple[Tensor, Tensor]:
+        """Posterior mean ``d`` and covariance ``d x d`` of the whitened gel."""
+        eye = torch.eye(self.slopes.shape[1], dtype=torch.float64)
+        return self.slopes.mT @ self.pull, eye - self.slopes.mT @ self.precision @ self.slopes
+
+
+def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> BadFrames:
+    """Find single frames whose error is far larger than the noise.
+
+    The noise of the batch is used with its correlation; where the residuals of the frames that are not named are smaller than
+    it says, it is taken to be as small as they are (at least half), since bad frames widen an estimate of the noise.
+
+    Args:
+        fit: a fit that has converged.
+        batch: its data and noise.
+        simulator: makes the bubbles; one bubble, and one for each parameter and nuisance of every experiment.
+
+    Returns:
+        The frames; none, with the reason, where there are more than 3000 frames or a bubble fails.
+
+    >>> from dataclasses import replace
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.assimilate import SearchOptions, assimilate, find_bad_frames
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> simulator, design = PolytropicSimulator(), torch.tensor([400.0, 0.22], dtype=torch.float64)
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=1)
+    >>> shot = laboratory.shoot(design, seed=0)
+    >>> shot.radius[0, 7] += 0.15
+    >>> batch, options = ExperimentBatch((replace(shot, label="shot 1"),)), SearchOptions(scouts=16, starts=2)
+    >>> fit = assimilate(wide_prior(["nhkv"]), batch, simulator, seed=0, options=options)["nhkv"]
+    >>> [(bad.experiment, bad.frame) for bad in find_bad_frames(fit, batch, simulator).frames]
+    [('shot 1', 7)]
+    """
+    if int(batch.mask.sum()) > _MOST:
+        return BadFrames(fit.model, (), reason=f"there are {int(batch.mask.sum())} frames, and the test takes {_MOST} at most.")
+    near = Posterior(fit.prior, batch, simulator).neighbourhood(fit.point)
+    if not bool(torch.isfinite(near.prediction).all()):
+        return BadFrames(fit.model, (), reason=f"a bubble beside the fit of {fit.model} could not be simulated.")
+    whole = _field(fit, batch, near.centre, near.slopes)
+    bad, probability, size = _search(whole)
+    if not bool(bad.any()):
+        return BadFrames(fit.model, ())
+    if float(bad.double().mean()) > _LARGEST:
+        return BadFrames(fit.model, (), reason="too many frames are off for single ones to be told from a misfit of the model.")
+    others = _each_without_itself(whole, bad)
+    where, frames = torch.nonzero(batch.mask), []
+    for n in torch.nonzero(bad)[:, 0].tolist():
+        e, frame = where[n].tolist()
+        error, variance = (float(x[n]) for x in others)
+        shot = batch.experiments[e]
+        frames.append(
+            BadFrame(
+                shot.label,
+                frame,
+                float(shot.times[frame]),
+                float(probability[n]),
+                error,
+                error / (size * math.sqrt(variance)),
+                not bool(away_from_collapses(shot.times, shot.mean)[frame]),
+                _in_run(bad[where[:, 0] == e], frame),
+            )
+        )
+    alone = torch.zeros_like(bad)
+    alone[bad] = torch.tensor([frame.single for frame in frames])
+    without = _posterior(fit, whole, whole.with_bad(alone, _DELETED)) if bool(alone.any()) else None
+    return BadFrames(fit.model, tuple(frames), without)
+
+
+def _field(fit: ModelFit, batch: ExperimentBatch, centre: Tensor, slopes: tuple[Tensor, Tensor]) -> _Field:
+    """The joint Gaussian of all frames, linearised about a fit."""
+    by_gel, by_nuisance = slopes
+    count, frames = len(batch.experiments), batch.mask
+    own = torch.eye(count, dtype=torch.float64)[:, None, :, None] * by_nuisance[:, :, None]  # E x T x E x 3
+    columns = torch.cat((by_gel[frames], own.flatten(2)[frames]), 1)
+    point = torch.cat((fit.mean, fit.nuisances.flatten()))
+    sd, size = batch.sd(centre), int(frames.sum())
+    unit = torch.zeros(size, *frames.shape, dtype=torch.float64)
+    unit[:, frames] = torch.eye(size, dtype=torch.float64)
+    root = batch.whiten(unit, sd)[:, frames].mT  # N x N, whitens
+    whitened = root @ columns
+    hessian = torch.eye(columns.shape[1], dtype=torch.float64) + whitened.mT @ whitened
+    explained = root.mT @ whitened
+    precision = root.mT @ root - explained @ torch.linalg.solve(hessian, explained.mT)
+    observed = (batch.mean - centre)[frames] + columns @ point
+    extra = (_EXTRA * sd / batch.counts.sqrt())[frames].square()
+    return _Field(precision, precision @ observed, extra, by_gel[frames])
+
+
+def _log_odds(error: Tensor, variance: Tensor, extra: Tensor, size: float) -> Tensor:
+    """Log posterior odds of a frame to be bad; all variances are times ``size**2``."""
+    good, bad = size**2 * variance, size**2 * (variance + extra)
+    likelihood = 0.5 * error.square() * (1.0 / good - 1.0 / bad) + 0.5 * (good / bad).log()
+    return likelihood + math.log(PRIOR / (1.0 - PRIOR))
+
+
+def _each_without_itself(whole: _Field, bad: Tensor) -> tuple[Tensor, Tensor]:
+    """Deletion residuals and variances given the other bad frames, also of those that are bad."""
+    error, variance = whole.with_bad(bad).deletion
+    error, variance = error.clone(), variance.clone()
+    for n in torch.nonzero(bad)[:, 0].tolist():
+        rest = bad.clone()
+        rest[n] = False
+        own = whole.with_bad(rest).deletion
+        error[n], variance[n] = own[0][n], own[1][n]
+    return error, variance
+
+
+def _search(whole: _Field) -> tuple[Tensor, Tensor, float]:
+    """Which frames are bad, the probability of each, and the noise of the others over that of the fit."""
+    bad = torch.zeros_like(whole.pull, dtype=torch.bool)
+    error, variance = whole.deletion
+    size = min(1.0, max(_LEAST, _CONSISTENT * float((error.abs() / variance.sqrt()).median())))
+    probability = torch.zeros_like(whole.pull)
+    for _ in range(_ROUNDS):
+        before = bad.clone()
+        while float(bad.double().mean()) <= _LARGEST:  # the worst first, since a bad frame makes its neighbours look bad
+            error, variance = _each_without_itself(whole, bad)
+            probability = torch.sigmoid(_log_odds(error, variance, whole.extra, size))
+            worst = torch.where(bad, 0.0, probability).argmax()
+            if bad[worst] or float(probability[worst]) <= _NAMED:
+                break
+            bad[worst] = True
+        bad = bad & (probability > _NAMED)
+        good = error.square() / variance
+        size = min(1.0, max(_LEAST, float(good[~bad].mean().sqrt())))
+        if torch.equal(bad, before):
+            break
+    return bad, probability, size
+
+
+def _in_run(bad: Tensor, frame: int) -> bool:
+    """Whether a frame is one of ``_RUN`` or more bad ones side by side, of the ``T`` frames of a curve."""
+    first = last = frame
+    while first > 0 and bool(bad[first - 1]):
+        first -= 1
+    while last + 1 < len(bad) and bool(bad[last + 1]):
+        last += 1
+    return last - first + 1 >= _RUN
+
+
+def _posterior(fit: ModelFit, whole: _Field, without: _Field) -> ModelBelief:
+    """The reported posterior with the first-order change of mean and covariance."""
+    (mean, covariance), (moved, wider) = whole.gel, without.gel
+    before, after = (torch.linalg.cholesky(x) for x in (covariance, wider))
+    belief, prior = fit.posterior, fit.prior
+    chol = belief.chol @ torch.linalg.solve_triangular(before, after, upper=False)
+    return prior.with_gaussian(belief.mean + prior.chol @ (moved - mean), chol)
