@@ -4,11 +4,12 @@
   python benchmarks/population.py table --out population.jsonl
   python benchmarks/population.py time --shots 20
 
-`run` simulates, with the polytropic simulator, populations of 4 to 10 shots of one curve each, at Weber numbers of 250 to 600, R_inf* of
-.18 to .28 and with uncertain Rmax, time zero and R_inf, and infers them with the noise as given. A third have their scatters drawn
-from the prior of the inference (coverage is then right if the inference is exact), a third have none (false alarms), and the others a
-scatter of .1, .2 or .4 in ln G and none in mu (power). Results are appended as JSON lines, so a run that was cut off continues.
-`time` takes that many shots of one simulated gel with heat and vapour transport, noise estimated, on one thread.
+`run` simulates, with the polytropic simulator, populations of 4 to 10 shots of one curve each, at Weber numbers of 250 to 600,
+R_inf* of .18 to .28 and with uncertain Rmax, time zero and R_inf, and infers them with the noise as given. A third have their
+scatters drawn from the prior of the inference (coverage is then right if the inference is exact), a third have none (false
+alarms), and the others a scatter of .1, .2 or .4 in ln G and none in mu (power). Results are appended as JSON lines, so a run
+that was cut off continues. `time` takes that many shots of a simulated population with heat and vapour transport, noise
+estimated, on one thread.
 """
 
 import argparse
@@ -153,9 +154,8 @@ def table(args: argparse.Namespace) -> None:
             print(f"  verdict {what}: {sum(row['verdict'] == what for row in some)} of {len(some)}", end="")
         named = {name: sum(row["by_parameter"][name]["value"] > math.log(10.0) for row in some) for name in NAMES}
         print(f"\n  odds above 10 for a scatter of: {named}")
-        print(
-            f"  median Monte Carlo error of the log Bayes factor: {sorted(row['any']['error'] for row in some)[len(some) // 2]:.3f}"
-        )
+        errors = sorted(row["any"]["error"] for row in some)
+        print(f"  median Monte Carlo error of the log Bayes factor: {errors[len(errors) // 2]:.3f}")
 
 
 def clock(args: argparse.Namespace) -> None:

@@ -39,6 +39,7 @@ from imr_torch.observe import (
     prepare,
 )
 from imr_torch.observe.frames import FrameUse, frame_use
+from imr_torch.population import SCALE, Population, fit_shots, infer_population
 from imr_torch.random import child
 from imr_torch.saved import SavedCharacterization, draws_to_dict
 from imr_torch.select import (
@@ -96,6 +97,7 @@ class Characterization:
         scores: held-out log density of each model, summed over all curves; empty if none was held out.
         frames: which frames of each record were fitted.
         fit_test: whether the most probable model explains the curves; None where that was not asked for.
+        population: how much the gel differs between curves, under the most probable model; None where not asked for.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -126,6 +128,7 @@ class Characterization:
     scores: tuple[PredictiveScore, ...] = ()
     frames: tuple[FrameUse, ...] = ()
     fit_test: FitTest | None = None
+    population: Population | None = None
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -167,6 +170,7 @@ class Characterization:
             "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
             "noise": vars(self.noise),
             "fit_test": None if self.fit_test is None else self.fit_test.to_dict(),
+            "population": None if self.population is None else self.population.to_dict(),
             "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),
             "weighed_draws": draws_to_dict(self.assimilation),
@@ -223,6 +227,8 @@ class Characterization:
                 f"  {score.model}: {score.value - best.value:.1f} +- {score.error:.1f}"
                 for score in sorted(self.scores, key=lambda score: -score.value)
             ]
+        if self.population is not None:
+            lines.append(f"\n{self.population.report()}")
         return "\n".join(lines)
 
     def _advice(self, fit: ModelFit) -> str:
@@ -252,6 +258,8 @@ def characterize(
     scores: bool = False,
     check: bool = True,
     effort: str = "normal",
+    population: bool = False,
+    scatter_scale: float = SCALE,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Characterization:
@@ -272,11 +280,14 @@ def characterize(
         check: whether to test if the most probable model explains the curves (:func:`imr_torch.gap.check_fit`).
         effort: how far draws are weighed where they do not settle the intervals: ``"normal"`` or ``"thorough"``, see
             ``EFFORTS``.
+        population: whether each curve is also fitted by itself, under the most probable model, and how much the gel differs
+            between them is inferred (:mod:`imr_torch.population`).
+        scatter_scale: of the half-normal prior of the scatters between curves.
         seed: of everything random.
         progress: called with one line per step.
 
     Raises:
-        InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, or for scores of only one.
+        InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, or for scores or a population of only one.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -303,6 +314,10 @@ def characterize(
         raise InputDataError("No curve to characterise; load at least one.")
     if scores and len(traces) == 1:
         raise InputDataError("Scores hold curves out, and there is 1; give at least two, or ask for no scores.")
+    if population and len(traces) == 1:
+        raise InputDataError("A population needs several shots, and there is 1 curve; give at least two, or ask for none.")
+    if not 0.0 < scatter_scale < math.inf:
+        raise InputDataError(f"scatter_scale is {scatter_scale}; expected a positive number, for example {SCALE:g}.")
     if effort not in EFFORTS:
         raise InputDataError(f"effort is {effort!r}; expected one of {', '.join(EFFORTS)}.")
     prior, noise = prior or wide_prior(), noise or Noise()
@@ -334,12 +349,25 @@ def characterize(
         if progress:
             progress("fit test: does the model explain the curves?")
         tested = check_fit(weighed[posterior.best.model], weighed.batch, simulator, seed=child(seed, "check"))
+    gels = None
+    if population:
+        shots = fit_shots(
+            prior[posterior.best.model],
+            prepared.experiments,
+            simulator,
+            noise=noise,
+            rounds=NOISE_ROUNDS if estimate_noise else 0,
+            seed=child(seed, "population"),
+            progress=progress,
+        )
+        gels = infer_population(shots, scale=scatter_scale, seed=child(seed, "population"))
     surroundings = simulator.conditions.surroundings
     used = tuple(
         frame_use(trace, prepared.landmarks[trace.experiment_id], experiment, surroundings, collapses=collapses)
         for trace, experiment in zip(traces, prepared.experiments, strict=True)
     )
-    return Characterization(prepared, weighed, evidence, posterior, time.process_time() - started, found, used, tested)
+    seconds = time.process_time() - started
+    return Characterization(prepared, weighed, evidence, posterior, seconds, found, used, tested, gels)
 
 
 def predictive_band(

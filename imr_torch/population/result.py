@@ -19,6 +19,7 @@ LEVELS = (0.05, 0.5, 0.95)
 DECISIVE = math.log(10.0)
 """Log Bayes factor, nats, from which shots are said to differ, or to be of one gel: odds of 10 to 1."""
 
+_DECISIVE_ROUGHLY = 10.0  # nats; the same where draws are not reliable, as of one gel for shots that agree nowhere
 _SHOWN = 30.0  # nats; a larger log Bayes factor rests on the far tails of the shots' likelihoods
 _TREND = 0.05  # p-value of a trend with the bubbles' size, all parameters together
 _ROUGH = 1.0  # nats of one shot's likelihood that its smooth form may miss at a draw
@@ -135,9 +136,9 @@ class Population:
 
     @property
     def verdict(self) -> str:
-        """``"scatter"``, ``"none"`` or ``"undecided"``: odds of 10 to 1 decide."""
+        """``"scatter"``, ``"none"`` or ``"undecided"``: odds of 10 to 1 decide, 10 nats where the draws are not reliable."""
         value = self.any_scatter.value
-        if abs(value) < DECISIVE or not self.any_scatter.reliable:
+        if abs(value) < (DECISIVE if self.any_scatter.reliable else _DECISIVE_ROUGHLY):
             return "undecided"
         return "scatter" if value > 0.0 else "none"
 
@@ -195,7 +196,8 @@ class Population:
                 word = "rises" if trend.correlation > 0.0 else "falls"
                 said.append(
                     f"{trend.name} {word} with the size of the bubble (Kendall's tau {trend.correlation:.2f}, "
-                    f"p = {trend.p_value:.2g}), which chance differences between gels do not do: the scatter may be an error of the model."
+                    f"p = {trend.p_value:.2g}), which chance differences of gels "
+                    "do not do: the scatter may be an error of the model."
                 )
         loose = [shot.label for shot in self.shots if not shot.reliable]
         if loose:
@@ -217,7 +219,7 @@ class Population:
         entries = {p.name: p for p in material(self.prior.model).parameters}
         lines = [
             f"{self.sentence} Scatter of any parameter against none: {self.any_scatter}.",
-            f"Population of {self.prior.material.title} gels (90 % intervals; prior of each scatter half-normal, {self.scale:g}):",
+            f"Population of {self.prior.material.title} gels (90 % intervals; prior of scatters half-normal, {self.scale:g}):",
         ]
         for name in self.prior.names:
             ahead = _range(entries[name], self.next_shot(name))
@@ -227,10 +229,10 @@ class Population:
                 lines.append(f"         {words}; evidence for it {self.by_parameter[name]}")
         lines.append("Each shot, given all (and alone):")
         for label in self.labels:
-            cells = [
-                f"{name} {entries[name].interval(*self.shot(label, name))}, alone {_range(entries[name], self.alone(label, name))}"
-                for name in self.prior.names
-            ]
+            cells = []
+            for name in self.prior.names:
+                alone = _range(entries[name], self.alone(label, name))
+                cells.append(f"{name} {entries[name].interval(*self.shot(label, name))}, alone {alone}")
             lines.append(f"  {label}: " + "; ".join(cells))
         for check in self.checks:
             found = ", ".join(f"{name} {x[1]:.3f} ({x[0]:.3f} to {x[2]:.3f})" for name, x in check.scatter.items())
@@ -291,6 +293,7 @@ class Population:
         return {
             "model": self.prior.model,
             "verdict": self.verdict,
+            "sentence": self.sentence,
             "log_bayes_factor": vars(self.any_scatter),
             "prior": {"kind": "half-normal", "scale": self.scale},
             "parameters": parameters,

@@ -32,6 +32,7 @@ from imr_torch.plot import (
     plot_probabilities,
     with_lengths,
 )
+from imr_torch.results.population import population_figure
 
 _FARTHER = 2.0  # fitted windows that a figure shows of a record
 _OTHERS = 0.02  # probability from which on the curve of another model is drawn
@@ -123,6 +124,14 @@ def _of_characterization(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             f"Posterior of the parameters of {material(best).title} together; contours hold 50 % and 90 %.",
             "Scatter plots of every pair of parameters.",
             lambda: draw_parameters(belief[best]),
+        )
+    if document.get("population"):
+        yield NamedFigure(
+            "population",
+            "Each shot alone (grey) and given all shots (blue), 90 % intervals; line and band: the median of all; dotted: "
+            "90 % of the shots to come.",
+            "Interval charts of every parameter by shot, beside the population's median.",
+            lambda: population_figure(document["population"]),
         )
     if len(belief.keys) > 1:
         beliefs = (("prior", prior), ("posterior", belief))

@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 from imr_torch.html import Block, Picture, Preformatted, Table, page
 from imr_torch.material import PARAMETERS, material
 from imr_torch.results.figures import NamedFigure, draw_figures
+from imr_torch.results.population import population_block
 
 _FIGURES = 12  # shown at once; the others are folded away
 _IMPROBABLE = 0.001
@@ -48,6 +49,8 @@ def characterization_page(document: Mapping[str, Any], *, title: str = "", repor
         Block("The gel", (gel_table(document, best),)),
         Block("What was assumed", (_assumed(document, best),)),
     ]
+    if document.get("population"):
+        blocks.append(Block("Does the gel differ from shot to shot?", population_block(document["population"])))
     failed, pictures = [], []
     for figure in draw_figures(document):
         try:
