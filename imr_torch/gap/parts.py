@@ -13,6 +13,7 @@ from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign, identity_design
 from imr_torch.gap.latent import LatentPressure, latent_pressure
 from imr_torch.gap.locate import ByExperiment, Onset, by_experiment, onset
+from imr_torch.gap.scatter import GelScatter, gel_scatter
 from imr_torch.gap.shrinkage import Shrinkage, shrinkage, shrinkage_unseen
 from imr_torch.gap.windows import MovingWindows, moving_windows
 from imr_torch.material import LIBRARY
@@ -32,6 +33,7 @@ class Parts:
         latent: the pressure that would explain it.
         windows: apparent parameters over the event.
         shrinkage: how far a named cause shrinks the gap on designs that its fit did not see.
+        scatter: whether the gel differs between the curves, against the effects of the library.
         next_design: what to shoot to tell the causes apart that are still possible.
 
     >>> from imr_torch.gap import Parts
@@ -45,6 +47,7 @@ class Parts:
     windows: MovingWindows | None = None
     shrinkage: Shrinkage | None = None
     next_design: NextDesign | None = None
+    scatter: GelScatter | None = None
 
 
 def examine(
@@ -89,6 +92,7 @@ def examine(
         windows=moving_windows(*here),
         shrinkage=_shrunk(report, simulator, unseen, seed, progress),
         next_design=_next(report, simulator, seed, progress),
+        scatter=gel_scatter(report, simulator, seed=child(seed, "scatter")),
     )
 
 

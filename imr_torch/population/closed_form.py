@@ -5,10 +5,14 @@ squared scatters; ``m`` has a Gaussian prior. Everything but ``T`` is then integ
 1972). No inverse of ``A`` or ``T`` is taken, so a shot may leave a direction open, and a scatter may be zero.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.material import ModelBelief
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,29 @@ class GaussianShots:
     precision: Tensor
     linear: Tensor
     constant: Tensor
+
+    @classmethod
+    def of_fits(cls, fits: Sequence[ModelFit], evidence: Sequence[float]) -> "GaussianShots":
+        """The Gaussians of fits, one a shot, their prior divided out.
+
+        Args:
+            fits: of one model and prior.
+            evidence: log evidence of each shot under that prior, nats.
+        """
+        prior = fits[0].prior
+        precisions, linears = [], []
+        for fit in fits:
+            covariance = prior.chol @ fit.chol @ fit.chol.mT @ prior.chol.mT
+            precision, linear = without_prior(prior.unwhitened(fit.mean), covariance, prior)
+            precisions.append(precision)
+            linears.append(linear)
+        shots = cls(torch.stack(precisions), torch.stack(linears), torch.zeros(len(fits), dtype=torch.float64))
+        still, inverse = torch.zeros(1, len(prior.mean), dtype=torch.float64), torch.cholesky_inverse(prior.chol)
+        alone = [shots[e : e + 1].given(still, prior.mean, inverse).evidence for e in range(len(fits))]
+        return cls(shots.precision, shots.linear, torch.tensor(evidence, dtype=torch.float64) - torch.cat(alone))
+
+    def __getitem__(self, rows: slice) -> "GaussianShots":
+        return GaussianShots(self.precision[rows], self.linear[rows], self.constant[rows])
 
     def given(self, scatter: Tensor, mean: Tensor, precision: Tensor) -> "GivenScatter":
         """Evidence and posterior for given scatters.
@@ -100,3 +127,17 @@ class GivenScatter:
         A, b = self.shots.precision, self.shots.linear
         pull = b - (A @ centre[:, None, :, None])[..., 0]
         return centre[:, None] + (self.covariance @ pull[..., None])[..., 0]
+
+
+def without_prior(mean: Tensor, covariance: Tensor, prior: ModelBelief) -> tuple[Tensor, Tensor]:
+    """Precision and linear term of the likelihood whose posterior has these moments; directions wider than the prior are flat.
+
+    Args:
+        mean: ``d`` tensor, of the controls.
+        covariance: ``d x d`` tensor.
+        prior: what is divided out.
+    """
+    before = torch.cholesky_inverse(prior.chol)
+    values, vectors = torch.linalg.eigh(torch.linalg.inv(covariance) - before)
+    precision = (vectors * values.clamp_min(0.0)) @ vectors.mT
+    return precision, precision @ mean + before @ (mean - prior.mean)

@@ -18,8 +18,9 @@ from imr_torch.assimilate import Assimilation
 from imr_torch.errors import InputDataError
 from imr_torch.material import LogNormal, ModelBelief
 from imr_torch.population.likelihood import ShotLikelihood
+from imr_torch.population.quadrature import MOST
 from imr_torch.population.result import BayesFactor, Population, ScaleCheck, Trend, scatter_interval
-from imr_torch.population.sampling import MOST, Problem, WeighedPopulation, jackknife_error, sample_population
+from imr_torch.population.sampling import Problem, WeighedPopulation, jackknife_error, sample_population
 from imr_torch.random import child, generator
 
 SCALE = 0.3

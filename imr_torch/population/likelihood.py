@@ -16,6 +16,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Verdict
 from imr_torch.errors import InputDataError
+from imr_torch.population.closed_form import without_prior
 
 GROUPS = 10
 """Groups of draws, each left out once, that give the Monte Carlo error."""
@@ -81,7 +82,7 @@ class ShotLikelihood:
         trusted = fit.verdict is Verdict.TRUSTED
         moments = (fit.mean, fit.chol @ fit.chol.mT) if trusted else (sample.mean, sample.covariance)
         mean, covariance = fit.prior.unwhitened(moments[0]), fit.prior.chol @ moments[1] @ fit.prior.chol.mT
-        precision, linear = _without_prior(mean, covariance, fit)
+        precision, linear = without_prior(mean, covariance, fit.prior)
         chol = torch.linalg.cholesky(covariance)
         unscale = torch.linalg.inv(chol)
         whitened = (controls - mean) @ unscale.mT
@@ -127,14 +128,6 @@ class ShotLikelihood:
     def log_prob(self, controls: Tensor) -> Tensor:
         """Log likelihood at ``n x d`` controls, nats: ``n``."""
         return self.constant + _quadratic(controls, self.precision, self.linear) + self.correction(controls)[..., 0]
-
-
-def _without_prior(mean: Tensor, covariance: Tensor, fit: ModelFit) -> tuple[Tensor, Tensor]:
-    """Precision and linear term of the likelihood, of the posterior's moments; directions wider than the prior are flat."""
-    prior = torch.cholesky_inverse(fit.prior.chol)
-    values, vectors = torch.linalg.eigh(torch.linalg.inv(covariance) - prior)
-    precision = (vectors * values.clamp_min(0.0)) @ vectors.mT
-    return precision, precision @ mean + prior @ (mean - fit.prior.mean)
 
 
 def _quadratic(controls: Tensor, precision: Tensor, linear: Tensor) -> Tensor:

@@ -19,16 +19,12 @@ from imr_torch.assimilate.proposals import student_draws, student_log_prob
 from imr_torch.material import ModelBelief
 from imr_torch.population.closed_form import GaussianShots
 from imr_torch.population.likelihood import ShotLikelihood
+from imr_torch.population.quadrature import cells, half_normal
 
-MOST = 4
-"""Parameters that can differ from shot to shot, at most: the scatters are proposed on a grid."""
-
-_CELLS = (1, 400, 48, 20, 11)  # along each axis, by the number of axes
-_TOP = 6.0  # scales of the prior up to which the grid of the scatters reaches
 _DEFENSIVE = 0.1  # share of the proposal that is the prior of the scatters
 _FREEDOM = 7  # degrees of freedom of what proposes the centre
 _EACH = 8  # gels of each shot for each draw, in opposite pairs
-_CHUNK = 2000  # cells or draws at once
+_CHUNK = 2000  # draws at once
 _ENOUGH = 0.15  # effective share of the draws below which the Gaussian parts are fitted again
 _REFITS = 3
 
@@ -65,11 +61,6 @@ class Problem:
             torch.stack([s.linear for s in self.shots]),
             torch.tensor([s.constant for s in self.shots], dtype=torch.float64),
         )
-
-    def log_prior(self, scatter: Tensor) -> Tensor:
-        """Log density of ``n x d`` scatters of the controls, those that vary: ``n`` tensor."""
-        values, scale = scatter[:, self.varying], self.scale[self.varying]
-        return (math.log(2.0) - 0.5 * math.log(2.0 * math.pi) - scale.log() - 0.5 * (values / scale).square()).sum(1)
 
 
 @dataclass(frozen=True)
@@ -164,22 +155,17 @@ def _sample(problem: Problem, gaussian: GaussianShots, draws: int, source: torch
 def _scatters(problem: Problem, gaussian: GaussianShots, draws: int, source: torch.Generator) -> tuple[Tensor, Tensor]:
     """``draws x d`` scatters, and the log of their prior over their proposal."""
     varying, size = problem.varying, len(problem.scale)
-    if not varying:
-        return torch.zeros(draws, size, dtype=torch.float64), torch.zeros(draws, dtype=torch.float64)
-    steps = torch.linspace(0.0, 1.0, _CELLS[len(varying)] + 1, dtype=torch.float64).square() * _TOP
-    low = torch.cartesian_prod(*[steps[:-1]] * len(varying)).reshape(-1, len(varying)) * problem.scale[varying]
-    wide = torch.cartesian_prod(*[steps.diff()] * len(varying)).reshape(-1, len(varying)) * problem.scale[varying]
-    middle = torch.zeros(len(low), size, dtype=torch.float64)
-    middle[:, varying] = low + 0.5 * wide
-    log_prior = problem.log_prior(middle) + wide.log().sum(1)
-    mean, precision = problem.prior.mean, problem.precision
-    evidence = torch.cat([gaussian.given(rows, mean, precision).evidence for rows in middle.split(_CHUNK)])
-    chance = (1.0 - _DEFENSIVE) * torch.softmax(log_prior + evidence, 0) + _DEFENSIVE * torch.softmax(log_prior, 0)
-    cell = torch.multinomial(chance, draws, replacement=True, generator=source)
     scatter = torch.zeros(draws, size, dtype=torch.float64)
+    if not varying:
+        return scatter, torch.zeros(draws, dtype=torch.float64)
+    grid = cells(gaussian, problem.prior, problem.scale)
+    chance = (1.0 - _DEFENSIVE) * grid.weights + _DEFENSIVE * torch.softmax(grid.log_prior, 0)
+    cell = torch.multinomial(chance, draws, replacement=True, generator=source)
     within = torch.rand(draws, len(varying), generator=source, dtype=torch.float64)
-    scatter[:, varying] = low[cell] + within * wide[cell]
-    return scatter, problem.log_prior(scatter) - (chance[cell].log() - wide[cell].log().sum(1))
+    values = grid.low[cell] + within * grid.width[cell]
+    scatter[:, varying] = values
+    log_proposal = chance[cell].log() - grid.width[cell].log().sum(1)
+    return scatter, half_normal(values, problem.scale[varying]) - log_proposal
 
 
 def _given(
