@@ -5,6 +5,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from imr_torch.html import Table
 from imr_torch.labels import plain, symbol, with_unit
@@ -43,6 +44,9 @@ def population_figure(found: Mapping[str, Any]) -> Figure:
                 ends += [left, right]
         if min(ends) > 0.0 and max(ends) > _WIDE * min(ends):
             ax.set_xscale("log")
+            ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            ax.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+            ax.xaxis.set_minor_formatter(NullFormatter())
         ax.set_xlabel(with_unit(symbol(name), parameter.display_unit or parameter.unit))
         if "scatter" in entry:
             ax.set_title("scatter {1:.2f} ({0:.2f} to {2:.2f})".format(*entry["scatter"]), fontsize=9)
