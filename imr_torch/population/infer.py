@@ -26,7 +26,7 @@ from imr_torch.random import child, generator
 SCALE = 0.3
 """Scale of the half-normal prior of each scatter: of ln G, ln mu, and of the control of other parameters."""
 
-_DRAWS, _EVIDENCE_DRAWS = 4000, 2000
+_DRAWS = 4000
 _FEWEST_FOR_TREND = 4
 
 
@@ -44,7 +44,7 @@ def infer_population(
         fits: one weighed assimilation of one model per shot, as of :func:`fit_shots`.
         varying: parameters that may differ from shot to shot, all when not given; the others are the same in all.
         scale: of the half-normal prior of the scatters.
-        draws: of population, scatters and shots.
+        draws: of population, scatters and shots; half as many for each evidence.
         seed: of these draws.
 
     Raises:
@@ -77,12 +77,12 @@ def infer_population(
         return Problem(shots, prior, scales)
 
     found = sample_population(problem(columns, scale), draws, generator(child(seed, "population")))
-    evidence = _evidences(problem, columns, scale, seed)
+    evidence = _evidences(problem, columns, scale, draws // 2, seed)
     checks = []
     for width in (0.5 * scale, 2.0 * scale):
         other = sample_population(problem(columns, width), draws, generator(child(seed, "population")))
         intervals = {names[i]: scatter_interval(other, i, units) for i in columns}
-        checks.append(ScaleCheck(width, _any(_evidences(problem, columns, width, seed)), intervals))
+        checks.append(ScaleCheck(width, _any(_evidences(problem, columns, width, draws // 2, seed)), intervals))
     by_parameter = {names[i]: _of_parameter(evidence, i) for i in columns}
     return Population(
         prior=prior,
@@ -153,13 +153,13 @@ class _Evidences(dict[tuple[int, ...], WeighedPopulation]):
 
 
 def _evidences(
-    problem: Callable[[Sequence[int], float], Problem], columns: Sequence[int], scale: float, seed: int
+    problem: Callable[[Sequence[int], float], Problem], columns: Sequence[int], scale: float, draws: int, seed: int
 ) -> _Evidences:
     found = _Evidences()
     for size in range(len(columns) + 1):
         for which in combinations(columns, size):
             source = generator(child(seed, "evidence", *which))
-            found[which] = sample_population(problem(which, scale), _EVIDENCE_DRAWS, source)
+            found[which] = sample_population(problem(which, scale), draws, source)
     return found
 
 

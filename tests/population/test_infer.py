@@ -94,13 +94,13 @@ class Exact:
 
 def inferred(experiments: list[Experiment], simulator, **options) -> Population:
     fits = fit_shots(PART, experiments, simulator, noise=NOISE, rounds=0, options=OPTIONS, seed=3)
-    return infer_population(fits, scale=SCALE, **options)
+    return infer_population(fits, scale=SCALE, **({"draws": 1000} | options))
 
 
 @pytest.mark.parametrize("scatter", [(0.8, 0.0), (0.0, 0.0)])
 def test_that_linear_shots_give_what_dense_algebra_gives(scatter: tuple[float, float]) -> None:
     experiments = shots(LinearSimulator(), scatter)
-    population, exact = inferred(experiments, LinearSimulator()), Exact(experiments)
+    population, exact = inferred(experiments, LinearSimulator(), draws=3000), Exact(experiments)
     found = population.found
     assert population.log_evidence == pytest.approx(exact.log_evidence, abs=0.1)
     for values, (mean, sd) in ((found.centre, exact.centre()), (found.scatter, exact.scatter())):
@@ -142,7 +142,7 @@ def test_that_each_shot_is_drawn_towards_the_others() -> None:
 def test_that_curved_shots_give_what_quadrature_over_gels_and_scatter_gives() -> None:
     simulator = CurvedSimulator(bend=0.5)
     experiments = shots(simulator, (0.5, 0.5), 3, nuisance=Nuisance())
-    population = inferred(experiments, simulator, varying=("mu",))
+    population = inferred(experiments, simulator, varying=("mu",), draws=3000)
     axis = torch.linspace(-4.0, 4.0, 161, dtype=torch.float64)
     controls = torch.cartesian_prod(axis, axis)
     batch = ExperimentBatch(tuple(experiments), NOISE)
@@ -195,8 +195,8 @@ def _over_none(population: Population) -> float:
 def test_that_the_stated_error_of_the_evidence_is_its_spread_over_seeds() -> None:
     simulator, values, errors = CurvedSimulator(bend=0.4), [], []
     experiments = shots(simulator, (0.5, 0.5), 3)
-    for seed in range(8):
-        fits = fit_shots(PART, experiments, simulator, noise=NOISE, rounds=0, options=OPTIONS, seed=seed, samples=128)
+    for seed in range(6):
+        fits = fit_shots(PART, experiments, simulator, noise=NOISE, rounds=0, options=OPTIONS, seed=seed, samples=96)
         smooth = tuple(ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits)
         found = [sample_population(Problem(smooth, PART, tensor(s, s)), 500, generator(seed)) for s in (SCALE, 0.0)]
         difference = found[0].log_evidences - found[1].log_evidences
