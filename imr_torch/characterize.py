@@ -39,7 +39,7 @@ from imr_torch.observe import (
     prepare,
 )
 from imr_torch.observe.frames import FrameUse, frame_use
-from imr_torch.population import SCALE, Population, fit_shots, infer_population
+from imr_torch.population import MOST, SCALE, Population, fit_shots, infer_population
 from imr_torch.random import child
 from imr_torch.saved import SavedCharacterization, draws_to_dict
 from imr_torch.select import (
@@ -321,6 +321,12 @@ def characterize(
     if effort not in EFFORTS:
         raise InputDataError(f"effort is {effort!r}; expected one of {', '.join(EFFORTS)}.")
     prior, noise = prior or wide_prior(), noise or Noise()
+    large = next((part for part in prior.models if len(part.names) > MOST), None) if population else None
+    if large is not None:
+        raise InputDataError(
+            f"{large.model} has {len(large.names)} free parameters, and at most {MOST} can differ between shots; leave the "
+            "model out, or give some of them as known."
+        )
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     prepared = prepare(traces, simulator.conditions.surroundings, collapses=collapses, rest_radius=rest_radius)
     result = assimilate_estimating_noise(

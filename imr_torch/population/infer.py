@@ -102,7 +102,13 @@ def infer_population(
 
 
 def coordinate_units(prior: ModelBelief) -> Tensor:
-    """``d`` tensor: what a control of 1 is in the coordinate whose scatter is stated, a logarithm where there is one."""
+    """``d`` tensor: what a control of 1 is in the coordinate whose scatter is stated, a logarithm where there is one.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.population import coordinate_units
+    >>> [round(x, 2) for x in coordinate_units(wide_prior(["gen_qkv"])["gen_qkv"]).tolist()]  # ln 5, ln 3, the control of alpha
+    [1.61, 1.1, 1.0]
+    """
     values = [math.log(m.factor) if isinstance(m, LogNormal) else 1.0 for m in prior.marginals]
     return torch.tensor(values, dtype=torch.float64)
 

@@ -49,6 +49,21 @@ class ShotLikelihood:
         draws: that were used.
         effective_samples: of them, under the shot's own posterior.
         reliable: whether draws and fit of the shot are reliable.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> from imr_torch.population import ShotLikelihood, fit_shots
+    >>> simulator = PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 8e3, "mu": 0.09}), repeats=1)
+    >>> design = torch.tensor([400.0, 0.22]).double()
+    >>> shots = [laboratory.shoot(design, seed=seed, label=f"shot {seed}") for seed in (0, 1)]
+    >>> fits = fit_shots(wide_prior(["nhkv"])["nhkv"], shots, simulator, rounds=0, samples=64)
+    >>> likelihood = ShotLikelihood.of("shot 0", fits[0].fits[0])
+    >>> best, far = likelihood.log_prob(torch.stack((likelihood.mean, likelihood.mean + 3.0 * likelihood.sd)))
+    >>> likelihood.misses < 0.1, bool(best > far + 2.0)
+    (True, True)
     """
 
     label: str

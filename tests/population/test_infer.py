@@ -12,9 +12,10 @@ from imr_torch.assimilate import SearchOptions, assimilate, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance, SimulatedLaboratory, predict
-from imr_torch.population import Population, ShotLikelihood, fit_shots, infer_population, together
+from imr_torch.population import Population, ShotLikelihood, fit_shots, infer_population
 from imr_torch.population.result import quantiles
 from imr_torch.population.sampling import Problem, jackknife_error, sample_population
+from imr_torch.population.shots import together
 from imr_torch.random import generator
 from tests.curved import CurvedSimulator
 from tests.linear import MEANS, NOISE, SDS, LinearSimulator, prior, tensor
