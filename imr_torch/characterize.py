@@ -50,6 +50,7 @@ from imr_torch.observe import (
     prepare,
 )
 from imr_torch.observe.frames import FrameUse, frame_use
+from imr_torch.population import MOST, SCALE, Population, fit_shots, infer_population
 from imr_torch.random import child
 from imr_torch.saved import SavedCharacterization, draws_to_dict
 from imr_torch.select import (
@@ -116,6 +117,7 @@ class Characterization:
         sensitivities: what assumed values of the medium would change in the most probable model.
         bad_frames: single frames that look bad under the most probable model; None where that was not asked for.
         left_out: bad frames that were left out of the fit, in the order in which they were found.
+        population: how much the gel differs between curves, under the most probable model; None where not asked for.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -150,6 +152,7 @@ class Characterization:
     sensitivities: tuple[MediumSensitivity, ...] = ()
     bad_frames: BadFrames | None = None
     left_out: tuple[BadFrame, ...] = ()
+    population: Population | None = None
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -218,6 +221,7 @@ class Characterization:
             "bad_frames": None if self.bad_frames is None else self.bad_frames.to_dict(),
             "frames_left_out": [vars(frame) for frame in self.left_out],
             "fit_test": None if self.fit_test is None else self.fit_test.to_dict(),
+            "population": None if self.population is None else self.population.to_dict(),
             "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),
             "weighed_draws": draws_to_dict(self.assimilation),
@@ -280,6 +284,8 @@ class Characterization:
                 f"  {score.model}: {score.value - best.value:.1f} +- {score.error:.1f}"
                 for score in sorted(self.scores, key=lambda score: -score.value)
             ]
+        if self.population is not None:
+            lines.append(f"\n{self.population.report()}")
         return "\n".join(lines)
 
     def _noise_lines(self) -> list[str]:
@@ -361,6 +367,8 @@ def characterize(
     effort: str = "normal",
     medium: GelMedium | Statement | str | None = None,
     frames: str = "all",
+    population: bool = False,
+    scatter_scale: float = SCALE,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Characterization:
@@ -388,11 +396,14 @@ def characterize(
         frames: ``"all"`` are fitted, and single ones that look bad are named; with ``"robust"`` these are left out and the
             fit repeated until none is named, three times at most; those next to a
             collapse and runs of three or more stay in, since they are more likely a misfit.
+        population: whether each curve is also fitted by itself, under the most probable model, and how much the gel differs
+            between them is inferred (:mod:`imr_torch.population`).
+        scatter_scale: of the half-normal prior of the scatters between curves.
         seed: of everything random.
         progress: called with one line per step.
 
     Raises:
-        InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, or for scores of only one.
+        InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, or for scores or a population of only one.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -419,11 +430,21 @@ def characterize(
         raise InputDataError("No curve to characterise; load at least one.")
     if scores and len(traces) == 1:
         raise InputDataError("Scores hold curves out, and there is 1; give at least two, or ask for no scores.")
+    if population and len(traces) == 1:
+        raise InputDataError("A population needs several shots, and there is 1 curve; give at least two, or ask for none.")
+    if not 0.0 < scatter_scale < math.inf:
+        raise InputDataError(f"scatter_scale is {scatter_scale}; expected a positive number, for example {SCALE:g}.")
     if effort not in EFFORTS:
         raise InputDataError(f"effort is {effort!r}; expected one of {', '.join(EFFORTS)}.")
     if frames not in FRAMES:
         raise InputDataError(f"frames is {frames!r}; expected one of {', '.join(FRAMES)}.")
     prior, noise = prior or wide_prior(), noise or Noise()
+    large = next((part for part in prior.models if len(part.names) > MOST), None) if population else None
+    if large is not None:
+        raise InputDataError(
+            f"{large.model} has {len(large.names)} free parameters, and at most {MOST} can differ between shots; leave the "
+            "model out, or give some of them as known."
+        )
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     medium = medium_of(traces, medium, simulator.conditions.surroundings)
     simulator, prior = medium.applied(simulator), medium.believed(prior)
@@ -473,6 +494,18 @@ def characterize(
         if progress:
             progress("fit test: does the model explain the curves?")
         tested = check_fit(weighed[posterior.best.model], weighed.batch, simulator, seed=child(seed, "check"))
+    gels = None
+    if population:
+        shots = fit_shots(
+            prior[posterior.best.model],
+            prepared.experiments,
+            simulator,
+            noise=noise,
+            rounds=NOISE_ROUNDS if estimate_noise else 0,
+            seed=child(seed, "population"),
+            progress=progress,
+        )
+        gels = infer_population(shots, scale=scatter_scale, seed=child(seed, "population"))
     surroundings = simulator.conditions.surroundings
     used = tuple(
         frame_use(trace, prepared.landmarks[trace.experiment_id], experiment, surroundings, collapses=collapses)
@@ -480,7 +513,9 @@ def characterize(
     )
     moved = medium_sensitivities(weighed[posterior.best.model], weighed.batch, simulator, medium)
     seconds = time.process_time() - started
-    return Characterization(prepared, weighed, evidence, posterior, seconds, found, used, tested, medium, moved, bad, left_out)
+    return Characterization(
+        prepared, weighed, evidence, posterior, seconds, found, used, tested, medium, moved, bad, left_out, gels
+    )
 
 
 def _without(experiments: tuple[Experiment, ...], bad: tuple[BadFrame, ...]) -> tuple[Experiment, ...]:

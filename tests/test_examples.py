@@ -12,7 +12,7 @@ import torch
 
 import imr_torch
 
-STAGES = ("material", "simulate", "observe", "assimilate", "select", "campaign", "calibration", "gap", "export")
+STAGES = ("material", "simulate", "observe", "assimilate", "select", "population", "campaign", "calibration", "gap", "export")
 PUBLIC = ("imr_torch", *(f"imr_torch.{name}" for name in (*STAGES, "units", "files", "random", "labels", "html", "results")))
 WITHOUT = ("imr_torch.design",)  # whose objects are not looked at here
 NEEDS = {"imr_torch.export.arviz": ("xarray", "arviz_base", "h5netcdf"), "imr_torch.assimilate.nuts": ("pyro",)}

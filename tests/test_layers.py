@@ -8,7 +8,19 @@ import pytest
 import imr_torch
 
 PACKAGE = Path(imr_torch.__file__).parent
-STAGES = ("material", "simulate", "observe", "assimilate", "select", "design", "campaign", "calibration", "gap", "export")
+STAGES = (
+    "material",
+    "simulate",
+    "observe",
+    "assimilate",
+    "select",
+    "population",
+    "design",
+    "campaign",
+    "calibration",
+    "gap",
+    "export",
+)
 BASE = ("errors", "units", "random", "files", "types", "elementary", "labels", "html")
 
 

@@ -123,10 +123,10 @@ def estimated_noise(result: Assimilation, law: Noise, simulator: Simulator) -> N
 
 def determines_noise(fit: ModelFit, batch: ExperimentBatch) -> bool:
     """Whether a fit leaves ten degrees of freedom or more, from which on residuals determine the noise."""
-    return float(batch.mask.sum()) - _freedom(fit, batch) >= _FEWEST
+    return float(batch.mask.sum()) - freedom_of(fit, batch) >= _FEWEST
 
 
-def _freedom(fit: ModelFit, batch: ExperimentBatch) -> float:
+def freedom_of(fit: ModelFit, batch: ExperimentBatch) -> float:
     """Degrees of freedom that a fit took: its controls and nuisances, each as far as the data reduced its prior variance."""
     gel = len(fit.mean) - float(fit.chol.square().sum())
     uncertain = batch.nuisance_sds > 0.0

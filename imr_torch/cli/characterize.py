@@ -2,6 +2,7 @@
 
   imr-torch characterize gel.csv --out result
   imr-torch characterize day1/ "day2/*.csv"
+  imr-torch characterize day1/ --population --html day1.html
   imr-torch characterize gel.csv --layout "radius=R,radius_unit=um,time=t,time_unit=us"
   imr-torch characterize wide.csv --layout "radius=*,radius_unit=um,time=t,time_unit=us"
   imr-torch characterize bubble.mat --layout "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat"
@@ -12,8 +13,8 @@ every column of radii is a curve. A JSON file of the same name beside a file may
 rate, pixel size and exposure. --medium states density, sound speed, surface tension, temperature and ambient pressure of the
 gel (--medium water,temperature=310,density=1125:11: with a standard deviation it is inferred beside the gel); the report says
 what was assumed and whether that matters. All curves are taken to be of one gel and are fitted together; --each fits every
-curve by itself, which shows whether they agree. The report says whether the model explains the curves, which rows were left
-out, which frames were fitted, and why.
+curve by itself, which shows whether they agree, and --population says how much the gel differs between them, by evidence. The
+report says whether the model explains the curves, which rows were left out, which frames were fitted, and why.
 """
 
 import argparse
@@ -49,6 +50,7 @@ from imr_torch.files import write_atomically
 from imr_torch.html import write
 from imr_torch.material import ModelBelief
 from imr_torch.observe import TraceSet, load_traces, prepare
+from imr_torch.population import SCALE
 from imr_torch.results import characterization_document, characterization_page, draw_figures
 
 NAME = "characterize"
@@ -61,6 +63,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="TEXT", help="how to read the files: name=value pairs, see above")
     parser.add_argument("--experiments", metavar="ID,...", help="fit only these experiments")
     parser.add_argument("--each", action="store_true", help="fit every curve by itself instead of all together")
+    parser.add_argument(
+        "--population",
+        action="store_true",
+        help="also fit every curve by itself and infer how much the gel differs from shot to shot: median, scatter, evidence",
+    )
+    parser.add_argument(
+        "--scatter-scale",
+        type=float,
+        metavar="SD",
+        help=f"scale of the half-normal prior of the scatters of ln G, ln mu, ... (default {SCALE:g})",
+    )
     add_window_arguments(parser)
     parser.add_argument(
         "--scores",
@@ -99,6 +112,10 @@ def run(args: argparse.Namespace) -> None:
         raise InputDataError("--scores predicts curves from others, and --each fits every one alone; leave one of them out.")
     if args.each and args.html:
         raise InputDataError("--html shows one gel, and --each fits every curve by itself; leave one of them out.")
+    if args.each and args.population:
+        raise InputDataError("--population takes the curves as shots of one gel, and --each every one alone; leave one out.")
+    if args.scatter_scale is not None and not args.population:
+        raise InputDataError("--scatter-scale is about --population; add that, or leave it out.")
     statement_of(args)  # checked before any work
     traces = load_traces(*args.files, layout=layout_of(args))
     if args.experiments is not None:
@@ -160,8 +177,10 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -
         effort=args.effort,
         medium=medium,
         frames=args.frames,
+        population=args.population,
+        scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
         seed=args.seed,
-        progress=progress_of(args, characterize_stages(rounds, scores=args.scores), label),
+        progress=progress_of(args, characterize_stages(rounds, scores=args.scores, population=args.population), label),
     )
     command = diagnose_command(args, result.posterior.best)
     said = result.report(command)

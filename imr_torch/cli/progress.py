@@ -37,8 +37,8 @@ class Stage:
     begins: str = ""
 
 
-def characterize_stages(noise_rounds: int, *, scores: bool = False) -> tuple[Stage, ...]:
-    """The stages of ``characterize``: one fit per noise law, draws, the fit test and perhaps scores.
+def characterize_stages(noise_rounds: int, *, scores: bool = False, population: bool = False) -> tuple[Stage, ...]:
+    """The stages of ``characterize``: one fit per noise law, draws, the fit test and perhaps scores and each shot alone.
 
     >>> from imr_torch.cli.progress import characterize_stages
     >>> [stage.name for stage in characterize_stages(1)]
@@ -51,7 +51,8 @@ def characterize_stages(noise_rounds: int, *, scores: bool = False) -> tuple[Sta
         draws = ", and draws" if number == noise_rounds else ""
         fits.append(Stage(f"fit with the estimated noise{again}{draws}", 1.0, r"^noise "))
     last = [Stage("scores of held-out curves", 2.0, r"^scores")] if scores else []
-    return (*fits, *last, Stage("fit test and figures", 0.1, r"^fit test"))
+    shots = [Stage("each shot by itself, and the population", 1.5, r"^shots: ")] if population else []
+    return (*fits, *last, Stage("fit test" if shots else "fit test and figures", 0.1, r"^fit test"), *shots)
 
 
 DIAGNOSE = (

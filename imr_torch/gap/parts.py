@@ -14,6 +14,7 @@ from imr_torch.gap.identity_design import NextDesign, identity_design
 from imr_torch.gap.ladder import Ladder, climb, with_held_out
 from imr_torch.gap.latent import LatentPressure, latent_pressure
 from imr_torch.gap.locate import ByExperiment, Onset, by_experiment, onset
+from imr_torch.gap.scatter import GelScatter, gel_scatter
 from imr_torch.gap.shrinkage import Shrinkage, hold_out, judge
 from imr_torch.gap.windows import MovingWindows, moving_windows
 from imr_torch.material import LIBRARY
@@ -37,6 +38,7 @@ class Parts:
         windows: apparent parameters over the event.
         shrinkage: how far a named cause shrinks the gap on designs that its fit did not see.
         ladder: how much of the gap effects close together, enough or not.
+        scatter: whether the gel differs between the curves, against the effects of the library.
         next_design: what to shoot to tell the causes apart that are still possible.
 
     >>> from imr_torch.gap import Parts
@@ -51,6 +53,7 @@ class Parts:
     shrinkage: Shrinkage | None = None
     ladder: Ladder | None = None
     next_design: NextDesign | None = None
+    scatter: GelScatter | None = None
 
 
 def examine(
@@ -99,6 +102,7 @@ def examine(
         shrinkage=shrunk,
         ladder=ladder,
         next_design=_next(report, simulator, seed, progress),
+        scatter=gel_scatter(report, simulator, seed=child(seed, "scatter")),
     )
 
 

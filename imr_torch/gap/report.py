@@ -73,6 +73,7 @@ def sections(report: GapReport, parts: Parts | None = None) -> list[Section]:
         Section("Is there a gap?", _gap(report)),
         Section("Where does it lie?", _where(report, parts), folded=not _located(parts)),
         Section("Which effect causes it?", _causes(report), folded=nothing),
+        Section("Does the gel differ between the curves?", _scatter(parts), folded=parts.scatter is None),
         Section("How far does it shrink?", _shrinkage(report, parts), folded=nothing or parts.shrinkage is None),
         Section("How much do known effects close together?", _ladder(parts), folded=parts.ladder is None),
         Section("What does it do to the parameters?", _shift(report), folded=fit_of_cause(report) is None),
@@ -255,6 +256,12 @@ def _causes(report: GapReport) -> tuple[str, ...]:
     alike = [f"{name}: {LIBRARY[name].confused}" for name in report.cause if name in LIBRARY and LIBRARY[name].confused]
     lines += [f"What looks most alike: {text}." for text in alike]
     return tuple(lines)
+
+
+def _scatter(parts: Parts) -> tuple[str, ...]:
+    if parts.scatter is None:
+        return ("Not tested: that needs a gap, and two curves or more, one of each shot.",)
+    return parts.scatter.sentences()
 
 
 def _shrinkage(report: GapReport, parts: Parts) -> tuple[str, ...]:

@@ -33,6 +33,7 @@ from imr_torch.plot import (
 )
 from imr_torch.results.campaign_figures import campaign_figures
 from imr_torch.results.named import NamedFigure, figure_of
+from imr_torch.results.population import population_figure
 from imr_torch.results.whole import check_characterization
 
 _FARTHER = 2.0  # fitted windows that a figure shows of a record
@@ -105,6 +106,14 @@ def _of_characterization(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             f"Posterior of the parameters of {material(best).title} together; contours hold 50 % and 90 %.",
             "Scatter plots of every pair of parameters.",
             lambda: draw_parameters(belief[best]),
+        )
+    if document.get("population"):
+        yield NamedFigure(
+            "population",
+            "Each shot alone (grey) and given all shots (blue), 90 % intervals; line and band: the median of all; dotted: "
+            "90 % of the shots to come.",
+            "Interval charts of every parameter by shot, beside the population's median.",
+            lambda: population_figure(document["population"]),
         )
     if len(belief.keys) > 1:
         beliefs = (("prior", prior), ("posterior", belief))

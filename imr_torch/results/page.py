@@ -10,6 +10,7 @@ from imr_torch.html import Block, Picture, Preformatted, Table, page
 from imr_torch.material import PARAMETERS, material
 from imr_torch.results.figures import draw_figures
 from imr_torch.results.named import NamedFigure
+from imr_torch.results.population import population_block
 
 _FIGURES = 12  # shown at once; the others are folded away
 _IMPROBABLE = 0.001
@@ -50,6 +51,8 @@ def characterization_page(document: Mapping[str, Any], *, title: str = "", repor
         Block("The gel", (gel_table(document, best),)),
         Block("What was assumed", (_assumed(document, best),)),
     ]
+    if document.get("population"):
+        blocks.append(Block("Does the gel differ from shot to shot?", population_block(document["population"])))
     pictures, failed = pictures_of(draw_figures(document))
     blocks.append(Block("Figures", (*pictures[:_FIGURES], *failed)))
     if pictures[_FIGURES:]:

@@ -1,0 +1,185 @@
+"""The hypothesis that the gel differs between the curves, compared with the effects of the library on the same data.
+
+No effect of one gel explains two. Every curve is fitted by itself, and the evidence of curves whose gels are from one
+population is that of the Gaussians about these fits, integrated over the population's median and scatters by quadrature
+(:mod:`imr_torch.population.quadrature`): as first-order as that of the effects that it is compared with. It is taken at the
+base model and beside the best effect, whose parameters are then the same in all curves. The hypothesis is adequate where the
+gap test rejects no curve at its own fit. It is not asked of sets with repeats: gels that differ do so there too.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+
+from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
+from imr_torch.gap.attribute import ADEQUATE, adequacy_test
+from imr_torch.gap.diagnose import GapReport
+from imr_torch.gap.hypotheses import laplace_evidence
+from imr_torch.material import LIBRARY, Belief, Effect
+from imr_torch.observe import ExperimentBatch
+from imr_torch.population import SCALE, GaussianShots, coordinate_units
+from imr_torch.population.quadrature import MOST, any_scatter, cells
+from imr_torch.population.result import quantiles
+from imr_torch.random import child, generator
+from imr_torch.simulate import Simulator
+
+_FURTHER = 3.0  # nats over the best effect of the library from which scatter is the better explanation
+_APART = 0.5  # prior standard deviations between the starts of a curve's own fit
+
+
+@dataclass(frozen=True)
+class GelScatter:
+    """Evidence that the gel differs between the curves.
+
+    Args:
+        explained: hypothesis -> log evidence over that of the base model, nats: ``"gel_scatter"``, that beside the best effect,
+            and the best effect alone.
+        leading: the better of the two with scatter; the one without an effect unless that is 3 nats behind.
+        rival: the best effect, or ``"none"`` where none was fitted.
+        scatter: parameter -> 5, 50, 95 % quantile of its scatter: of its logarithm, or its control.
+        adequacy_p: that no curve has a gap at its own fit, by the smallest p-value times the number of curves.
+        converged: whether the fits of all curves have.
+    """
+
+    explained: Mapping[str, float]
+    leading: str
+    rival: str
+    scatter: Mapping[str, tuple[float, float, float]]
+    adequacy_p: float
+    converged: bool
+
+    @property
+    def adequate(self) -> bool:
+        """Whether nothing is left to explain in any curve."""
+        return self.adequacy_p >= ADEQUATE
+
+    @property
+    def is_cause(self) -> bool:
+        """Whether scatter is the cause: converged, adequate, and better than every effect that was fitted, by 3 nats."""
+        behind = max((value for name, value in self.explained.items() if not name.endswith("gel_scatter")), default=0.0)
+        return self.converged and self.adequate and self.explained[self.leading] >= max(behind, 0.0) + _FURTHER
+
+    def sentences(self) -> tuple[str, ...]:
+        """The finding in words."""
+        gained = self.explained[self.leading]
+        beside = "" if self.rival == "none" else f" ({self.rival}: {self.explained[self.rival]:.0f})"
+        lines = [f"gel_scatter, a gel that differs between the curves, explains {gained:.0f} nats{beside}, as {self.leading}."]
+        if not self.converged:
+            lines.append("The fit of a curve by itself did not converge, so nothing is concluded from it.")
+        elif self.is_cause:
+            lines.append(f"It leaves no gap in any curve (p = {self.adequacy_p:.2g}) and explains most: the gel differs.")
+        elif self.adequate:
+            lines.append(
+                f"It leaves no gap in any curve (p = {self.adequacy_p:.2g}), and so it is possible beside what is named."
+            )
+        else:
+            lines.append(f"It leaves a gap in single curves (p = {self.adequacy_p:.2g}), so differences of gels are not all.")
+        found = ", ".join(f"{name} {x[1]:.2f} ({x[0]:.2f} to {x[2]:.2f})" for name, x in self.scatter.items())
+        lines.append(f"Scatter between the curves, standard deviation of logarithms or controls: {found}.")
+        return tuple(lines)
+
+    def to_dict(self) -> dict[str, object]:
+        """JSON-ready values."""
+        return {
+            "explained": dict(self.explained),
+            "leading": self.leading,
+            "scatter": {name: list(x) for name, x in self.scatter.items()},
+            "adequacy_p": self.adequacy_p,
+            "converged": self.converged,
+            "is_cause": self.is_cause,
+        }
+
+
+def gel_scatter(report: GapReport, simulator: Simulator, *, scale: float = SCALE, seed: int = 0) -> GelScatter | None:
+    """Compare scatter of the gel with the effects of the library.
+
+    Args:
+        report: a diagnosis.
+        simulator: makes the bubbles, as in the diagnosis.
+        scale: of the half-normal prior of the scatters.
+        seed: of the fits and tests.
+
+    Returns:
+        None for one experiment, for repeats, where more than four parameters would vary, or where the base fit has not
+        converged.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.gap import diagnose
+    >>> from imr_torch.gap.scatter import gel_scatter
+    >>> from imr_torch.material import PARAMETERS, library
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> simulator, shots = PolytropicSimulator(), []
+    >>> for number, G in enumerate((6e3, 12e3)):
+    ...     laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": G, "mu": 0.09}), repeats=1)
+    ...     shots.append(laboratory.shoot(torch.tensor([400.0, 0.22]).double(), seed=number, label=f"shot {number}"))
+    >>> report = diagnose(shots, effects=library(["sound_speed"]), simulator=simulator)
+    >>> gel_scatter(report, simulator).is_cause
+    True
+    """
+    batch, names = report.batch, report.null.prior.names
+    repeated = any(experiment.repeats > 1 for experiment in batch.experiments)
+    if len(batch.experiments) < 2 or repeated or len(names) > MOST or not report.null.certificate.converged:
+        return None
+    found, base = report.attribution, laplace_evidence(report.null)
+    tried = {"gel_scatter": report.null}
+    explained, rival = {}, "none"
+    if found is not None:
+        rival = found.winner
+        tried[f"{rival}+gel_scatter"] = found.fits[rival]
+        explained[rival] = laplace_evidence(found.fits[rival]) - base
+    alone, scatter = {}, {}
+    for name, fit in tried.items():
+        alone[name] = fit_alone(fit, batch, simulator, seed=child(seed, name))
+        shots = GaussianShots.of_fits(alone[name], [laplace_evidence(x) for x in alone[name]])
+        units = coordinate_units(fit.prior)
+        scales = torch.where(torch.tensor([n in names for n in fit.prior.names]), scale / units, 0.0)
+        explained[name] = any_scatter(shots, fit.prior, scales) - base
+        grid = cells(shots, fit.prior, scales)
+        columns = [(n, fit.prior.names.index(n)) for n in names]
+        scatter[name] = {n: _interval(grid.middle[:, i] * units[i], grid.weights) for n, i in columns}
+    leading = max(tried, key=lambda name: explained[name] + (_FURTHER if name == "gel_scatter" else 0.0))
+    effects = tuple(LIBRARY[name] for name in report.directions if name in LIBRARY)
+    p = _adequacy(alone[leading], effects, batch, simulator, seed=child(seed, "adequacy"))
+    converged = all(fit.certificate.nearly_converged for fit in alone[leading])
+    return GelScatter(explained, leading, rival, scatter[leading], p, converged)
+
+
+def fit_alone(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int) -> tuple[ModelFit, ...]:
+    """Each experiment by itself, from the fit to all and from points beside it."""
+    belief, found = Belief((fit.prior,), torch.zeros(1, dtype=torch.float64)), []
+    for e, experiment in enumerate(batch.experiments):
+        own = child(seed, "alone", experiment.label)
+        beside = _APART * torch.randn(2, len(fit.mean), generator=generator(own), dtype=torch.float64)
+        starts = torch.cat((fit.mean[None], fit.mean + beside))
+        one, options = ExperimentBatch((experiment,), batch.noise), SearchOptions()
+        fits = assimilate(
+            belief,
+            one,
+            simulator,
+            seed=own,
+            options=options,
+            starts=[starts],
+            nuisances=[fit.nuisances[e : e + 1]],
+            warn=False,
+        )
+        found.append(fits.fits[0])
+    return tuple(found)
+
+
+def _interval(values: torch.Tensor, weights: torch.Tensor) -> tuple[float, float, float]:
+    """5, 50, 95 % quantile over the cells of a grid."""
+    low, middle, high = quantiles(values, weights)
+    return low, middle, high
+
+
+def _adequacy(
+    fits: Sequence[ModelFit], effects: Sequence[Effect], batch: ExperimentBatch, simulator: Simulator, *, seed: int
+) -> float:
+    """Smallest p-value of the gap tests of single curves, times their number."""
+    values = []
+    for e, (fit, experiment) in enumerate(zip(fits, batch.experiments, strict=True)):
+        one = ExperimentBatch((experiment,), batch.noise)
+        values.append(adequacy_test(fit, effects, one, simulator, seed=child(seed, e)).test.p_value)
+    return min(1.0, len(values) * min(values))

@@ -1,0 +1,143 @@
+"""The hierarchy of Gaussian shots in closed form: evidence, population centre and each shot, given the scatter.
+
+A shot's likelihood is ``exp(c - z A z / 2 + b z)`` of its controls ``z``, and ``z ~ N(m, T)`` with the diagonal ``T`` of
+squared scatters; ``m`` has a Gaussian prior. Everything but ``T`` is then integrated out exactly (Lindley & Smith, JRSS B 34,
+1972). No inverse of ``A`` or ``T`` is taken, so a shot may leave a direction open, and a scatter may be zero.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.material import ModelBelief
+
+
+@dataclass(frozen=True)
+class GaussianShots:
+    """Likelihoods of the shots, Gaussian in the controls of each.
+
+    Args:
+        precision: ``E x d x d`` tensor ``A``, positive semidefinite.
+        linear: ``E x d`` tensor ``b``.
+        constant: ``E`` tensor ``c``, nats.
+
+    >>> import torch
+    >>> from imr_torch.population import GaussianShots
+    >>> values = torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)  # three shots seen with a standard error of .5
+    >>> shots = GaussianShots(torch.full((3, 1, 1), 4.0).double(), 4.0 * values[:, None], -2.0 * values.square())
+    >>> none, some = shots.given(torch.tensor([[0.0], [1.0]]).double(), torch.zeros(1).double(), torch.eye(1).double()).evidence
+    >>> bool(some > none)  # they differ by more than their errors
+    True
+    """
+
+    precision: Tensor
+    linear: Tensor
+    constant: Tensor
+
+    @classmethod
+    def of_fits(cls, fits: Sequence[ModelFit], evidence: Sequence[float]) -> "GaussianShots":
+        """The Gaussians of fits, one a shot, their prior divided out.
+
+        Args:
+            fits: of one model and prior.
+            evidence: log evidence of each shot under that prior, nats.
+        """
+        prior = fits[0].prior
+        precisions, linears = [], []
+        for fit in fits:
+            covariance = prior.chol @ fit.chol @ fit.chol.mT @ prior.chol.mT
+            precision, linear = without_prior(prior.unwhitened(fit.mean), covariance, prior)
+            precisions.append(precision)
+            linears.append(linear)
+        shots = cls(torch.stack(precisions), torch.stack(linears), torch.zeros(len(fits), dtype=torch.float64))
+        still, inverse = torch.zeros(1, len(prior.mean), dtype=torch.float64), torch.cholesky_inverse(prior.chol)
+        alone = [shots[e : e + 1].given(still, prior.mean, inverse).evidence for e in range(len(fits))]
+        return cls(shots.precision, shots.linear, torch.tensor(evidence, dtype=torch.float64) - torch.cat(alone))
+
+    def __getitem__(self, rows: slice) -> "GaussianShots":
+        return GaussianShots(self.precision[rows], self.linear[rows], self.constant[rows])
+
+    def given(self, scatter: Tensor, mean: Tensor, precision: Tensor) -> "GivenScatter":
+        """Evidence and posterior for given scatters.
+
+        Args:
+            scatter: ``n x d`` tensor, standard deviations of the shots' controls about the population's.
+            mean: ``d`` tensor, prior mean of the population's controls.
+            precision: ``d x d`` tensor, prior precision of them.
+        """
+        A, b, root = self.precision, self.linear, scatter[:, None, :]
+        inner = torch.eye(A.shape[-1], dtype=A.dtype) + root[..., :, None] * A * root[..., None, :]
+        chol = torch.linalg.cholesky(inner)  # n x E x d x d
+        factor = root[..., :, None] * torch.linalg.inv(chol).mT  # of the covariance of a shot given the centre
+        covariance = factor @ factor.mT
+        moved = (covariance @ b[..., None])[..., 0]
+        constant = self.constant - chol.diagonal(dim1=-2, dim2=-1).log().sum(-1) + 0.5 * (b * moved).sum(-1)
+        linear = b - (A @ moved[..., None])[..., 0]
+        by_shot = A - A @ covariance @ A
+        total = precision + by_shot.sum(1)
+        slope = precision @ mean + linear.sum(1)
+        total_chol = torch.linalg.cholesky(total)
+        centre = torch.cholesky_solve(slope[..., None], total_chol)[..., 0]
+        evidence = (
+            constant.sum(1)
+            + 0.5 * (slope * centre).sum(-1)
+            - total_chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+            + 0.5 * torch.logdet(precision)
+            - 0.5 * mean @ precision @ mean
+        )
+        return GivenScatter(self, evidence, centre, total_chol, covariance, factor, constant, linear, by_shot)
+
+
+@dataclass(frozen=True)
+class GivenScatter:
+    """What follows from the shots for ``n`` given scatters.
+
+    Args:
+        shots: the shots.
+        evidence: ``n`` tensor, log density of all data, nats.
+        centre: ``n x d`` tensor, posterior mean of the population's controls.
+        chol: ``n x d x d`` tensor, Cholesky factor of their posterior precision.
+        covariance: ``n x E x d x d`` tensor, of each shot's controls given the population's.
+        factor: ``n x E x d x d`` tensor, a square root of it.
+        constant: ``n x E`` tensor; with ``linear`` and ``by_shot`` the likelihood of each shot as a function of the centre.
+        linear: ``n x E x d`` tensor.
+        by_shot: ``n x E x d x d`` tensor.
+    """
+
+    shots: GaussianShots
+    evidence: Tensor
+    centre: Tensor
+    chol: Tensor
+    covariance: Tensor
+    factor: Tensor
+    constant: Tensor
+    linear: Tensor
+    by_shot: Tensor
+
+    def log_likelihood(self, centre: Tensor) -> Tensor:
+        """Log density of all data given the population's controls (``n x d``), nats: ``n`` tensor."""
+        square = (centre[:, None] * (self.by_shot @ centre[:, None, :, None])[..., 0]).sum(-1)
+        return (self.constant + (self.linear * centre[:, None]).sum(-1) - 0.5 * square).sum(1)
+
+    def shot_means(self, centre: Tensor) -> Tensor:
+        """Mean of each shot's controls given the population's: ``n x d`` to ``n x E x d``."""
+        A, b = self.shots.precision, self.shots.linear
+        pull = b - (A @ centre[:, None, :, None])[..., 0]
+        return centre[:, None] + (self.covariance @ pull[..., None])[..., 0]
+
+
+def without_prior(mean: Tensor, covariance: Tensor, prior: ModelBelief) -> tuple[Tensor, Tensor]:
+    """Precision and linear term of the likelihood whose posterior has these moments; directions wider than the prior are flat.
+
+    Args:
+        mean: ``d`` tensor, of the controls.
+        covariance: ``d x d`` tensor.
+        prior: what is divided out.
+    """
+    before = torch.cholesky_inverse(prior.chol)
+    values, vectors = torch.linalg.eigh(torch.linalg.inv(covariance) - before)
+    precision = (vectors * values.clamp_min(0.0)) @ vectors.mT
+    return precision, precision @ mean + before @ (mean - prior.mean)

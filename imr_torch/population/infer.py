@@ -1,0 +1,188 @@
+"""Inference of the population that the gels of several shots are from: its median, the scatter, each shot's own values.
+
+Every control of a model's parameters is normal over shots: ``z_e ~ N(m, T)``, so a parameter with a log-normal prior is
+log-normal over shots. The centre ``m`` has the model's prior, each scatter an independent half-normal prior (Gelman, Bayesian
+Analysis 1, 2006), and what varies at all is asked by evidence, over all sets of parameters that may. Shots enter through the
+draws of their own posteriors (:class:`~imr_torch.population.ShotLikelihood`), so nothing is simulated here.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import combinations
+
+import torch
+from scipy.stats import kendalltau
+from torch import Tensor
+
+from imr_torch.assimilate import Assimilation
+from imr_torch.errors import InputDataError
+from imr_torch.material import LogNormal, ModelBelief
+from imr_torch.population.likelihood import ShotLikelihood
+from imr_torch.population.quadrature import MOST
+from imr_torch.population.result import BayesFactor, Population, ScaleCheck, Trend, scatter_interval
+from imr_torch.population.sampling import Problem, WeighedPopulation, jackknife_error, sample_population
+from imr_torch.random import child, generator
+
+SCALE = 0.3
+"""Scale of the half-normal prior of each scatter: of ln G, ln mu, and of the control of other parameters."""
+
+_DRAWS = 4000
+_FEWEST_FOR_TREND = 4
+
+
+def infer_population(
+    fits: Sequence[Assimilation],
+    *,
+    varying: Sequence[str] | None = None,
+    scale: float = SCALE,
+    draws: int = _DRAWS,
+    seed: int = 0,
+) -> Population:
+    """Infer median, scatter and every shot's own values.
+
+    Args:
+        fits: one weighed assimilation of one model per shot, as of :func:`fit_shots`.
+        varying: parameters that may differ from shot to shot, all when not given; the others are the same in all.
+        scale: of the half-normal prior of the scatters.
+        draws: of population, scatters and shots; half as many for each evidence.
+        seed: of these draws.
+
+    Raises:
+        InputDataError: for fewer than two shots, shots of different models or priors, an unknown parameter, more than four that
+            vary, or a scale that is not positive.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> from imr_torch.population import fit_shots, infer_population
+    >>> simulator, design = PolytropicSimulator(), torch.tensor([400.0, 0.22]).double()
+    >>> shots = []
+    >>> for number, stiffness in enumerate((6e3, 7e3, 9e3, 10e3)):
+    ...     laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": stiffness, "mu": 0.09}), repeats=1)
+    ...     shots.append(laboratory.shoot(design, seed=number, label=f"shot {number}"))
+    >>> fits = fit_shots(wide_prior(["nhkv"])["nhkv"], shots, simulator, rounds=0, samples=64)
+    >>> population = infer_population(fits)
+    >>> population.by_parameter["G"].value > 0.0 > population.by_parameter["mu"].value  # G differs, and mu does not
+    True
+    """
+    prior = _checked(fits, varying, scale, draws)
+    shots = tuple(ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits)
+    names, units = prior.names, coordinate_units(prior)
+    columns = [names.index(name) for name in (varying or names)]
+
+    def problem(which: Sequence[int], width: float) -> Problem:
+        scales = torch.zeros(len(names), dtype=torch.float64)
+        scales[list(which)] = width / units[list(which)]
+        return Problem(shots, prior, scales)
+
+    found = sample_population(problem(columns, scale), draws, generator(child(seed, "population")))
+    evidence = _evidences(problem, columns, scale, draws // 2, seed)
+    checks = []
+    for width in (0.5 * scale, 2.0 * scale):
+        other = sample_population(problem(columns, width), draws, generator(child(seed, "population")))
+        intervals = {names[i]: scatter_interval(other, i, units) for i in columns}
+        checks.append(ScaleCheck(width, _any(_evidences(problem, columns, width, draws // 2, seed)), intervals))
+    by_parameter = {names[i]: _of_parameter(evidence, i) for i in columns}
+    return Population(
+        prior=prior,
+        shots=shots,
+        designs=torch.cat([fit.batch.designs for fit in fits]),
+        noise=fits[0].batch.noise,
+        varying=tuple(names[i] for i in columns),
+        units=units,
+        scale=scale,
+        found=found,
+        log_evidence=float(found.log_evidences[0]),
+        any_scatter=_any(evidence),
+        by_parameter=by_parameter,
+        checks=tuple(checks),
+        trends=_trends(shots, fits, names),
+    )
+
+
+def coordinate_units(prior: ModelBelief) -> Tensor:
+    """``d`` tensor: what a control of 1 is in the coordinate whose scatter is stated, a logarithm where there is one.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.population import coordinate_units
+    >>> [round(x, 2) for x in coordinate_units(wide_prior(["gen_qkv"])["gen_qkv"]).tolist()]  # ln 5, ln 3, the control of alpha
+    [1.61, 1.1, 1.0]
+    """
+    values = [math.log(m.factor) if isinstance(m, LogNormal) else 1.0 for m in prior.marginals]
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def _checked(fits: Sequence[Assimilation], varying: Sequence[str] | None, scale: float, draws: int) -> ModelBelief:
+    """The prior that all shots share."""
+    if len(fits) < 2:
+        raise InputDataError(f"A population needs at least two shots, got {len(fits)}.")
+    for fit in fits:
+        if len(fit.fits) != 1 or len(fit.batch.experiments) != 1:
+            raise InputDataError(
+                f"Each shot needs a fit of one model to one experiment; one has {len(fit.fits)} models and "
+                f"{len(fit.batch.experiments)} experiments. Use fit_shots."
+            )
+    prior = fits[0].fits[0].prior
+    for fit in fits[1:]:
+        other = fit.fits[0].prior
+        same = other.model == prior.model and other.marginals == prior.marginals and dict(other.known) == dict(prior.known)
+        if not (same and torch.equal(other.mean, prior.mean) and torch.equal(other.chol, prior.chol)):
+            raise InputDataError(f"The shots were fitted with different models or priors: {prior.model!r}, {other.model!r}.")
+    unknown = [name for name in varying or () if name not in prior.names]
+    if unknown:
+        raise InputDataError(f"varying: {unknown[0]!r} is no free parameter of {prior.model!r}, which has {prior.names}.")
+    count = len(prior.names if varying is None else set(varying))
+    if not 1 <= count <= MOST:
+        raise InputDataError(
+            f"{count} parameters would vary from shot to shot; at least 1 and at most {MOST} can. Name them in `varying`."
+        )
+    if not 0.0 < scale < math.inf or draws < 500:
+        raise InputDataError(f"scale is {scale} and draws {draws}; expected a positive scale and at least 500 draws.")
+    return prior
+
+
+class _Evidences(dict[tuple[int, ...], WeighedPopulation]):
+    """Draws for each set of columns that vary, the empty one among them."""
+
+    def contrast(self, above: list[tuple[int, ...]], below: list[tuple[int, ...]]) -> BayesFactor:
+        """Log of the mean evidence of some sets over that of others."""
+        logs = [torch.stack([self[s].log_evidences for s in some]) for some in (above, below)]
+        means = [torch.logsumexp(x, 0) - math.log(len(x)) for x in logs]
+        difference = means[0] - means[1]
+        own = 0.0
+        for x, some in zip(logs, (above, below), strict=True):
+            share = torch.softmax(x[:, 0], 0).tolist()
+            own += sum((p * self[s].evidence_error) ** 2 for p, s in zip(share, some, strict=True))
+        reliable = all(self[s].reliable for s in (*above, *below))
+        return BayesFactor(float(difference[0]), math.hypot(math.sqrt(own), jackknife_error(difference[1:])), reliable)
+
+
+def _evidences(
+    problem: Callable[[Sequence[int], float], Problem], columns: Sequence[int], scale: float, draws: int, seed: int
+) -> _Evidences:
+    found = _Evidences()
+    for size in range(len(columns) + 1):
+        for which in combinations(columns, size):
+            source = generator(child(seed, "evidence", *which))
+            found[which] = sample_population(problem(which, scale), draws, source)
+    return found
+
+
+def _any(evidence: _Evidences) -> BayesFactor:
+    """Scatter of any parameter against none: all sets that vary are equally probable before."""
+    return evidence.contrast([s for s in evidence if s], [()])
+
+
+def _of_parameter(evidence: _Evidences, column: int) -> BayesFactor:
+    """Scatter of one parameter against none of it, whatever else varies."""
+    return evidence.contrast([s for s in evidence if column in s], [s for s in evidence if column not in s])
+
+
+def _trends(shots: Sequence[ShotLikelihood], fits: Sequence[Assimilation], names: Sequence[str]) -> tuple[Trend, ...]:
+    """Rank correlation (Kendall) of each parameter of the shots with their Weber number, and so with the size of the bubble."""
+    weber = torch.cat([fit.batch.designs[:, 0] for fit in fits])
+    if len(shots) < _FEWEST_FOR_TREND or float(weber.amax() - weber.amin()) < 1e-6 * float(weber.amax()):
+        return ()
+    values = torch.stack([shot.mean for shot in shots])
+    return tuple(Trend(name, *map(float, kendalltau(weber, values[:, i]))) for i, name in enumerate(names))

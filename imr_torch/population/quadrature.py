@@ -1,0 +1,114 @@
+"""The integral over the scatters of Gaussian shots by quadrature: evidence and intervals without a draw, to first order.
+
+The cells of the grid are those that :mod:`imr_torch.population.sampling` proposes scatters from.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import torch
+from torch import Tensor
+
+from imr_torch.material import ModelBelief
+from imr_torch.population.closed_form import GaussianShots
+
+MOST = 4
+"""Parameters that can differ from shot to shot, at most: the grid has as many axes."""
+
+_CELLS = (1, 400, 48, 20, 11)  # along each axis, by the number of axes
+_TOP = 6.0  # scales of the prior up to which the grid reaches
+_CHUNK = 2000  # cells at once
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Cells of a grid over the scatters that vary, finer where these are small.
+
+    Args:
+        low: ``n x k`` tensor, lower corners, of the controls.
+        width: ``n x k`` tensor.
+        middle: ``n x d`` tensor, centres; 0 where a scatter does not vary.
+        log_prior: ``n`` tensor, log probability of each under half-normal priors.
+        evidence: ``n`` tensor, log density of all data in the middle of each, nats.
+    """
+
+    low: Tensor
+    width: Tensor
+    middle: Tensor
+    log_prior: Tensor
+    evidence: Tensor
+
+    @property
+    def log_evidence(self) -> float:
+        """The integral over the scatters, nats."""
+        return float(torch.logsumexp(self.log_prior + self.evidence, 0))
+
+    @property
+    def weights(self) -> Tensor:
+        """``n`` tensor, posterior probability of each cell."""
+        return torch.softmax(self.log_prior + self.evidence, 0)
+
+
+def cells(shots: GaussianShots, prior: ModelBelief, scale: Tensor) -> Cells:
+    """The grid with its prior and the evidence of the shots.
+
+    Args:
+        shots: the shots.
+        prior: of the population's centre, in the model's controls.
+        scale: ``d`` tensor, scale of the half-normal prior of each scatter; 0 where it does not vary.
+
+    >>> import torch
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.population import GaussianShots
+    >>> from imr_torch.population.quadrature import cells
+    >>> values = torch.tensor([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]], dtype=torch.float64)  # G differs, mu does not
+    >>> precision = 100.0 * torch.eye(2, dtype=torch.float64).expand(3, 2, 2)
+    >>> shots = GaussianShots(precision, 100.0 * values, -50.0 * values.square().sum(1))
+    >>> prior = wide_prior(["nhkv"])["nhkv"]
+    >>> G, mu = (cells(shots, prior, scale).log_evidence for scale in 0.3 * torch.eye(2, dtype=torch.float64))
+    >>> G > mu
+    True
+    """
+    varying = torch.nonzero(scale)[:, 0].tolist()
+    count, size = len(varying), len(scale)
+    steps = torch.linspace(0.0, 1.0, _CELLS[count] + 1, dtype=torch.float64).square() * _TOP
+    if count:
+        corners = (torch.cartesian_prod(*[x] * count).reshape(-1, count) for x in (steps[:-1], steps.diff()))
+        low, width = (x * scale[varying] for x in corners)
+    else:
+        low = width = torch.zeros(1, 0, dtype=torch.float64)
+    middle = torch.zeros(len(low), size, dtype=torch.float64)
+    middle[:, varying] = low + 0.5 * width
+    log_prior = half_normal(middle[:, varying], scale[varying]) + width.log().sum(1)
+    precision = torch.cholesky_inverse(prior.chol)
+    evidence = torch.cat([shots.given(rows, prior.mean, precision).evidence for rows in middle.split(_CHUNK)])
+    return Cells(low, width, middle, log_prior, evidence)
+
+
+def half_normal(values: Tensor, scale: Tensor) -> Tensor:
+    """Log density of independent half-normal values ``n x k`` with scales ``k``: ``n`` tensor."""
+    return (math.log(2.0) - 0.5 * math.log(2.0 * math.pi) - scale.log() - 0.5 * (values / scale).square()).sum(1)
+
+
+def any_scatter(shots: GaussianShots, prior: ModelBelief, scale: Tensor) -> float:
+    """Log evidence that some of the scatters are not zero: the mean over all sets of parameters that may vary, nats.
+
+    Args:
+        shots: the shots.
+        prior: of the population's centre.
+        scale: ``d`` tensor, of the prior of each scatter; 0 where it does not vary.
+    """
+    varying = torch.nonzero(scale)[:, 0].tolist()
+    logs = []
+    for which in _sets(varying):
+        some = torch.zeros_like(scale)
+        some[list(which)] = scale[list(which)]
+        logs.append(cells(shots, prior, some).log_evidence)
+    return float(torch.logsumexp(torch.tensor(logs, dtype=torch.float64), 0)) - math.log(len(logs))
+
+
+def _sets(columns: Sequence[int]) -> list[tuple[int, ...]]:
+    """All sets of at least one column."""
+    return [which for size in range(1, len(columns) + 1) for which in combinations(columns, size)]

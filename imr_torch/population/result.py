@@ -1,0 +1,349 @@
+"""What is known of a population of gels after some shots: intervals, evidence, errors, and the same as text and for JSON."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from imr_torch.labels import plain
+from imr_torch.material import LogNormal, ModelBelief, Parameter, material
+from imr_torch.observe import Noise
+from imr_torch.population.likelihood import ShotLikelihood
+from imr_torch.population.sampling import WeighedPopulation
+from imr_torch.random import child, generator
+
+LEVELS = (0.05, 0.5, 0.95)
+DECISIVE = math.log(10.0)
+"""Log Bayes factor, nats, from which shots are said to differ, or to be of one gel: odds of 10 to 1."""
+
+_DECISIVE_ROUGHLY = 10.0  # nats; the same where draws are not reliable, as of one gel for shots that agree nowhere
+_SHOWN = 30.0  # nats; a larger log Bayes factor rests on the far tails of the shots' likelihoods
+_TREND = 0.05  # p-value of a trend with the bubbles' size, all parameters together
+_ROUGH = 1.0  # nats of one shot's likelihood that its smooth form may miss at a draw
+
+Interval = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class BayesFactor:
+    """A log Bayes factor with its Monte Carlo error.
+
+    Args:
+        value: nats.
+        error: its standard error, by the draws of the shots and of the population.
+        reliable: whether the draws behind it are.
+
+    >>> from imr_torch.population import BayesFactor
+    >>> print(BayesFactor(value=4.2, error=0.1, reliable=True))
+    4.2 +- 0.1 nats
+    """
+
+    value: float
+    error: float
+    reliable: bool
+
+    def __str__(self) -> str:
+        if abs(self.value) > _SHOWN:
+            return f"{'below -' if self.value < 0 else 'above '}{_SHOWN:.0f} nats"
+        return f"{self.value:.1f} +- {max(self.error, 0.05):.1f} nats" + ("" if self.reliable else " (draws not reliable)")
+
+
+@dataclass(frozen=True)
+class ScaleCheck:
+    """The answer with another scale of the scatters' prior.
+
+    Args:
+        scale: of the half-normal prior.
+        any_scatter: evidence of scatter of any parameter against none.
+        scatter: parameter -> 5, 50, 95 % quantile of its scatter.
+    """
+
+    scale: float
+    any_scatter: BayesFactor
+    scatter: Mapping[str, Interval]
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Rank correlation of a parameter with the Weber number of the shots.
+
+    Args:
+        name: of the parameter.
+        correlation: Kendall's tau.
+        p_value: two-sided, exact for few shots.
+    """
+
+    name: str
+    correlation: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Population:
+    """A population of gels, inferred from several shots.
+
+    Args:
+        prior: of the population's centre, which is its median in every parameter.
+        shots: their likelihoods.
+        designs: ``E x 2`` tensor, (We, R_inf*).
+        noise: of the shots' fits.
+        varying: parameters that may differ from shot to shot.
+        units: ``d`` tensor, what a control of 1 is in the coordinate whose scatter is stated.
+        scale: of the half-normal prior of the scatters.
+        found: weighed draws of centre, scatters and shots.
+        log_evidence: of all data with every parameter of ``varying`` scattered, nats.
+        any_scatter: evidence of scatter of any parameter against none.
+        by_parameter: evidence of scatter of each parameter against none of it, whatever else varies.
+        checks: the answer with the prior's scale halved and doubled.
+        trends: of each parameter with the size of the bubble; none where the sizes are the same.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> from imr_torch.population import fit_shots, infer_population
+    >>> simulator, design = PolytropicSimulator(), torch.tensor([400.0, 0.22]).double()
+    >>> shots = []
+    >>> for number, stiffness in enumerate((6e3, 7e3, 9e3, 10e3)):
+    ...     laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": stiffness, "mu": 0.09}), repeats=1)
+    ...     shots.append(laboratory.shoot(design, seed=number, label=f"shot {number}"))
+    >>> population = infer_population(fit_shots(wide_prior(["nhkv"])["nhkv"], shots, simulator, rounds=0, samples=64))
+    >>> population.verdict, population.median("G")[0] < 8000.0 < population.median("G")[2]
+    ('scatter', True)
+    """
+
+    prior: ModelBelief
+    shots: tuple[ShotLikelihood, ...]
+    designs: Tensor
+    noise: Noise
+    varying: tuple[str, ...]
+    units: Tensor
+    scale: float
+    found: WeighedPopulation
+    log_evidence: float
+    any_scatter: BayesFactor
+    by_parameter: Mapping[str, BayesFactor]
+    checks: tuple[ScaleCheck, ...]
+    trends: tuple[Trend, ...]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Of the shots."""
+        return tuple(shot.label for shot in self.shots)
+
+    @property
+    def verdict(self) -> str:
+        """``"scatter"``, ``"none"`` or ``"undecided"``: odds of 10 to 1 decide, 10 nats where the draws are not reliable."""
+        value = self.any_scatter.value
+        if abs(value) < (DECISIVE if self.any_scatter.reliable else _DECISIVE_ROUGHLY):
+            return "undecided"
+        return "scatter" if value > 0.0 else "none"
+
+    @property
+    def reliable(self) -> bool:
+        """Whether draws of the population and of all shots, and their smooth likelihoods, are reliable."""
+        return self.found.reliable and all(shot.reliable and shot.misses < _ROUGH for shot in self.shots)
+
+    def median(self, name: str) -> Interval:
+        """5, 50, 95 % quantile of the population's median of a parameter, SI."""
+        return self._physical(self.found.centre, name)
+
+    def scatter(self, name: str) -> Interval:
+        """5, 50, 95 % quantile of a parameter's scatter: the standard deviation of its logarithm, or of its control."""
+        return scatter_interval(self.found, self.prior.names.index(name), self.units)
+
+    def shot(self, label: str, name: str) -> Interval:
+        """5, 50, 95 % quantile of a parameter of one shot, given all shots, SI."""
+        return self._physical(self.found.shots[:, self.labels.index(label)], name)
+
+    def alone(self, label: str, name: str) -> Interval:
+        """5, 50, 95 % quantile of a parameter of one shot from that shot alone (Gaussian in the control), SI."""
+        column, shot = self.prior.names.index(name), self.shots[self.labels.index(label)]
+        controls = shot.mean[column] + shot.sd[column] * torch.special.ndtri(torch.tensor(LEVELS, dtype=torch.float64))
+        low, middle, high = self.prior.marginals[column].to_physical(controls).tolist()
+        return low, middle, high
+
+    def next_shot(self, name: str) -> Interval:
+        """5, 50, 95 % quantile of a parameter of a shot still to be made, SI."""
+        noise = torch.randn(self.found.centre.shape, generator=generator(child(0, "next shot")), dtype=torch.float64)
+        return self._physical(self.found.centre + self.found.scatter * noise, name)
+
+    def error(self, name: str) -> tuple[float, float]:
+        """Monte Carlo standard errors of the posterior means of a median's control and of a scatter, in posterior sd."""
+        column = self.prior.names.index(name)
+        found = []
+        for values in (self.found.centre[:, column], self.found.scatter[:, column]):
+            mean, error = self.found.mean_error(values)
+            sd = float((self.found.weights @ (values - mean).square()).sqrt())
+            found.append(error / sd if sd > 0.0 else 0.0)
+        return found[0], found[1]
+
+    def _physical(self, controls: Tensor, name: str) -> Interval:
+        column = self.prior.names.index(name)
+        low, middle, high = quantiles(controls[:, column], self.found.weights)
+        values = self.prior.marginals[column].to_physical(torch.tensor([low, middle, high], dtype=torch.float64)).tolist()
+        return values[0], values[1], values[2]
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What makes the numbers doubtful, a sentence each."""
+        said = []
+        for trend in self.trends:
+            if trend.p_value * len(self.trends) < _TREND and trend.name in self.varying:
+                word = "rises" if trend.correlation > 0.0 else "falls"
+                said.append(
+                    f"{trend.name} {word} with the size of the bubble (Kendall's tau {trend.correlation:.2f}, "
+                    f"p = {trend.p_value:.2g}), which chance differences of gels "
+                    "do not do: the scatter may be an error of the model."
+                )
+        loose = [shot.label for shot in self.shots if not shot.reliable]
+        if loose:
+            said.append(
+                f"the posterior of {', '.join(map(plain, loose))} alone is not reliable, and neither is what it adds here."
+            )
+        rough = [f"{plain(shot.label)} ({shot.misses:.1f} nats)" for shot in self.shots if not shot.misses < _ROUGH]
+        if rough:
+            said.append(f"the likelihood of {', '.join(rough)} is not well described by a smooth function of the gel.")
+        if not self.found.reliable:
+            said.append(
+                f"few draws of the population count (effective {self.found.effective_samples:.0f} of "
+                f"{len(self.found.weights)}, k {self.found.pareto_k:.2f}): its intervals are rough."
+            )
+        return tuple(said)
+
+    def report(self) -> str:
+        """The result as text."""
+        entries = {p.name: p for p in material(self.prior.model).parameters}
+        lines = [
+            f"{self.sentence} Scatter of any parameter against none: {self.any_scatter}.",
+            f"Population of {self.prior.material.title} gels (90 % intervals; prior of scatters half-normal, {self.scale:g}):",
+        ]
+        for name in self.prior.names:
+            ahead = _range(entries[name], self.next_shot(name))
+            lines.append(f"  {name:6s} median {entries[name].interval(*self.median(name))}, a shot to come {ahead}")
+            if name in self.varying:
+                words = scatter_words(self.prior, name, self.scatter(name))
+                lines.append(f"         {words}; evidence for it {self.by_parameter[name]}")
+        lines.append("Each shot, given all (and alone):")
+        for label in self.labels:
+            cells = []
+            for name in self.prior.names:
+                alone = _range(entries[name], self.alone(label, name))
+                cells.append(f"{name} {entries[name].interval(*self.shot(label, name))}, alone {alone}")
+            lines.append(f"  {label}: " + "; ".join(cells))
+        for check in self.checks:
+            found = ", ".join(f"{name} {x[1]:.3f} ({x[0]:.3f} to {x[2]:.3f})" for name, x in check.scatter.items())
+            lines.append(f"With a scale of {check.scale:g}: evidence of scatter {check.any_scatter}; scatter of {found}.")
+        lines.append(self.draws_line)
+        return "\n".join([*lines, *(f"Caution: {text}" for text in self.cautions)])
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one sentence."""
+        count = len(self.shots)
+        return {
+            "scatter": f"The gel differs between the {count} shots, by more than their errors.",
+            "none": f"The {count} shots are of one gel within their errors.",
+            "undecided": f"The {count} shots do not decide whether the gel differs between them.",
+        }[self.verdict]
+
+    @property
+    def draws_line(self) -> str:
+        """Number and quality of the draws behind the intervals."""
+        worst = max(max(self.error(name)) for name in self.varying)
+        return (
+            f"Draws: effective {self.found.effective_samples:.0f} of {len(self.found.weights)} (k {self.found.pareto_k:.2f}); "
+            f"Monte Carlo errors up to {worst:.2f} posterior sd; smooth likelihoods miss "
+            f"{max(shot.misses for shot in self.shots):.2f} nats at a draw, at most."
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready values; intervals are [5 %, 50 %, 95 %], SI."""
+        parameters = {}
+        for name in self.prior.names:
+            entry: dict[str, Any] = {"median": list(self.median(name)), "next_shot": list(self.next_shot(name))}
+            entry["error"] = dict(zip(("median", "scatter"), self.error(name), strict=True))
+            if name in self.varying:
+                entry |= {
+                    "scatter": list(self.scatter(name)),
+                    "scatter_of": scatter_of(self.prior, name),
+                    "log_bayes_factor": vars(self.by_parameter[name]),
+                }
+            parameters[name] = entry
+        shots = [
+            {
+                "id": shot.label,
+                "We": float(design[0]),
+                "R_inf*": float(design[1]),
+                "given_all": {name: list(self.shot(shot.label, name)) for name in self.prior.names},
+                "alone": {name: list(self.alone(shot.label, name)) for name in self.prior.names},
+                "reliable": shot.reliable,
+                "smooth_misses": shot.misses,
+                "effective_samples": shot.effective_samples,
+            }
+            for shot, design in zip(self.shots, self.designs, strict=True)
+        ]
+        checks = [
+            {"scale": c.scale, "log_bayes_factor": vars(c.any_scatter), "scatter": {k: list(v) for k, v in c.scatter.items()}}
+            for c in self.checks
+        ]
+        return {
+            "model": self.prior.model,
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "log_bayes_factor": vars(self.any_scatter),
+            "prior": {"kind": "half-normal", "scale": self.scale},
+            "parameters": parameters,
+            "shots": shots,
+            "scales": checks,
+            "trends": [vars(trend) for trend in self.trends],
+            "noise": vars(self.noise),
+            "log_evidence": self.log_evidence,
+            "draws": {
+                "effective_samples": self.found.effective_samples,
+                "count": len(self.found.weights),
+                "pareto_k": self.found.pareto_k,
+                "reliable": self.reliable,
+            },
+            "cautions": list(self.cautions),
+        }
+
+
+def scatter_of(prior: ModelBelief, name: str) -> str:
+    """What the scatter of a parameter is the standard deviation of."""
+    marginal = prior.marginals[prior.names.index(name)]
+    return f"ln {name}" if isinstance(marginal, LogNormal) else f"the control of {name} (its prior has 1)"
+
+
+def scatter_words(prior: ModelBelief, name: str, interval: Interval) -> str:
+    """The scatter of a parameter as text."""
+    low, middle, high = interval
+    return f"standard deviation between shots of {scatter_of(prior, name)}: {middle:.3f} (90 %: {low:.3f} to {high:.3f})"
+
+
+def scatter_interval(found: WeighedPopulation, column: int, units: Tensor) -> Interval:
+    """5, 50, 95 % quantile of one scatter."""
+    low, middle, high = quantiles(found.scatter[:, column] * units[column], found.weights)
+    return low, middle, high
+
+
+def quantiles(values: Tensor, weights: Tensor, levels: Sequence[float] = LEVELS) -> list[float]:
+    """Quantiles of weighed draws, interpolated between them."""
+    order = values.argsort()
+    below = weights[order].cumsum(0) - 0.5 * weights[order]
+    wanted = torch.tensor(levels, dtype=values.dtype)
+    right = torch.searchsorted(below, wanted).clamp(1, len(values) - 1)
+    low, high = below[right - 1], below[right]
+    share = ((wanted - low) / (high - low).clamp_min(1e-300)).clamp(0.0, 1.0)
+    sorted_values = values[order]
+    return (sorted_values[right - 1] + share * (sorted_values[right] - sorted_values[right - 1])).tolist()
+
+
+def _range(entry: Parameter, interval: Interval) -> str:
+    """Two ends of an interval in display units."""
+    unit = entry.display_unit or entry.unit
+    shown = "" if unit in ("", "1") else f" {'µs' if unit == 'us' else unit}"
+    return f"{entry.display_scale * interval[0]:.4g} to {entry.display_scale * interval[2]:.4g}{shown}"

@@ -1,0 +1,116 @@
+"""Every shot fitted on its own, with one law of the noise for all, and its posterior weighed by draws.
+
+The noise is estimated from the residuals of these fits and not from a common one, in which shots that differ would look like
+noise. The cost is linear in the number of shots.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+
+from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, SearchOptions, assimilate, weigh
+from imr_torch.assimilate.noise_estimation import freedom_of
+from imr_torch.errors import InputDataError
+from imr_torch.material import Belief, ModelBelief
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, fit_noise
+from imr_torch.random import child
+from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
+
+_OPTIONS = SearchOptions(starts=2)
+_GRADIENT, _AGREEMENT = 0.3, 1.0  # tolerances (posterior standard deviations, nats) of fits that only the noise is taken from
+_SAMPLES = 256
+
+
+def fit_shots(
+    prior: ModelBelief,
+    experiments: Sequence[Experiment],
+    simulator: Simulator,
+    *,
+    noise: Noise | None = None,
+    rounds: int = NOISE_ROUNDS,
+    samples: int = _SAMPLES,
+    seed: int = 0,
+    options: SearchOptions | None = None,
+    progress: Progress | None = None,
+) -> tuple[Assimilation, ...]:
+    """Fit a model to every experiment by itself.
+
+    Args:
+        prior: of the gel of every shot.
+        experiments: one a shot; repeats within one are taken to be of the same gel.
+        simulator: makes the bubbles.
+        noise: law of the observation noise; the published one by default.
+        rounds: how often its scale, constant part and correlation time are estimated from all residuals; 0 keeps it.
+        samples: draws of each posterior.
+        seed: of everything random.
+        options: how the most probable gel is searched for.
+        progress: called with one line per shot.
+
+    Returns:
+        One weighed assimilation per experiment, all with the same noise.
+
+    Raises:
+        InputDataError: for fewer than two experiments, or two of one label.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> from imr_torch.population import fit_shots
+    >>> simulator, design = PolytropicSimulator(), torch.tensor([400.0, 0.22]).double()
+    >>> shots = []
+    >>> for number, stiffness in enumerate((7e3, 9e3)):
+    ...     laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": stiffness, "mu": 0.09}), repeats=1)
+    ...     shots.append(laboratory.shoot(design, seed=number, label=f"shot {number}"))
+    >>> fits = fit_shots(wide_prior(["nhkv"])["nhkv"], shots, simulator, rounds=0, samples=64)
+    >>> [round(float(fit.fits[0].posterior.means[0]), -3) for fit in fits]
+    [7000.0, 9000.0]
+    """
+    labels = [experiment.label for experiment in experiments]
+    if len(labels) < 2 or len(set(labels)) < len(labels):
+        raise InputDataError(f"A population needs at least two shots of different names, got {len(labels)}: {labels}.")
+    belief = Belief((prior,), torch.zeros(1, dtype=torch.float64))
+    law, options = noise or Noise(), options or _OPTIONS
+    current, fits = law, []
+    for number in range(rounds + 1):
+        last = number == rounds
+        how = options if last else replace(options, gradient=_GRADIENT, agreement=_AGREEMENT)
+        near: Sequence[Assimilation | None] = fits or [None] * len(labels)
+        found = []
+        for experiment, before in zip(experiments, near, strict=True):
+            own = child(seed, "shot", experiment.label, number)
+            batch = ExperimentBatch((experiment,), current)
+            found.append(assimilate(belief, batch, simulator, seed=own, options=how, near=before, warn=False))
+            if progress:
+                progress(f"shots: {experiment.label}, {len(found)}/{len(labels)}, round {number + 1}")
+        fits = found
+        if not last:
+            current = shared_noise(fits, law)
+            if progress:
+                progress(f"noise {current}")
+    weighed = []
+    for fit, label in zip(fits, labels, strict=True):
+        weighed.append(weigh(fit, simulator, seed=child(seed, "weigh", label), samples=samples))
+        if progress:
+            progress(f"draws: {label}, {len(weighed)}/{len(labels)}, {weighed[-1].fits[0].trust}")
+    return tuple(weighed)
+
+
+def shared_noise(fits: Sequence[Assimilation], law: Noise) -> Noise:
+    """The noise of one curve, one law fitted to the residuals of all shots, each with a gel of its own.
+
+    Args:
+        fits: of the shots.
+        law: to begin with, as for :func:`imr_torch.observe.fit_noise`.
+    """
+    residuals, predictions, times = [], [], []
+    for found in fits:
+        batch, frames, seen = found.batch, found.batch.mask[0], found.fits[0].prediction[0]
+        weight = batch.experiments[0].counts.sqrt()  # the mean of n curves errs by that of one over sqrt(n)
+        residuals.append((batch.mean[0] - seen)[frames] * weight)
+        predictions.append(seen[frames])
+        times.append(batch.times[0][frames])
+    fitted = sum(freedom_of(found.fits[0], found.batch) for found in fits)
+    return fit_noise(law, residuals, predictions, times, fitted=fitted)

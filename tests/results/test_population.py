@@ -1,0 +1,115 @@
+"""The population in a result document: figure and part of the page, and the command that makes it."""
+
+import json
+
+import matplotlib.pyplot as plt
+import pytest
+import torch
+
+from imr_torch import characterize, wide_prior
+from imr_torch.cli import main
+from imr_torch.errors import InputDataError
+from imr_torch.gap.hypotheses import Hypothesis
+from imr_torch.html import Table
+from imr_torch.material import Belief, library
+from imr_torch.results import draw_figures
+from imr_torch.results.population import population_block, population_figure
+from tests.results.documents import SIMULATOR, traces
+
+BAYES = {"value": 4.0, "error": 0.1, "reliable": True}
+
+
+def population(**changes) -> dict:
+    entry = {"median": [5e3, 6e3, 7e3], "next_shot": [4e3, 6e3, 9e3], "scatter": [0.1, 0.2, 0.4], "scatter_of": "ln G"}
+    shot = {"id": "$x_{bad$", "given_all": {"G": [4e3, 5e3, 6e3]}, "alone": {"G": [3e3, 5e3, 7e3]}}
+    found = {
+        "sentence": "The gel differs between the 2 shots, by more than their errors.",
+        "log_bayes_factor": BAYES,
+        "prior": {"scale": 0.3},
+        "parameters": {"G": entry | {"log_bayes_factor": BAYES}},
+        "shots": [shot, shot | {"id": "b"}],
+        "scales": [{"scale": 0.15, "log_bayes_factor": BAYES}],
+        "noise": {"scale": 1.2},
+        "cautions": ["mu rises."],
+    }
+    return found | changes
+
+
+def test_that_every_shot_is_drawn_twice_beside_the_median() -> None:
+    figure = population_figure(population())
+    (ax,) = figure.axes
+    widths = [tuple(line.get_xdata()) for line in ax.lines if len(line.get_xdata()) == 2 and line.get_linewidth() > 1.5]
+    assert widths == [(3.0, 7.0), (4.0, 6.0)] * 2  # kPa: alone, given all
+    assert [text.get_text() for text in ax.get_yticklabels()] == [r"\$x_{bad\$", "b"]
+    assert ax.get_title() == "scatter 0.20 (0.10 to 0.40)"
+    figure.canvas.draw()
+    plt.close(figure)
+
+
+def test_that_the_page_states_median_scatter_and_evidence() -> None:
+    block = population_block(population())
+    (table,) = (part for part in block if isinstance(part, Table))
+    assert table.rows[0][1:4] == ("6 kPa (90 %: 5 to 7)", "0.200 (90 %: 0.100 to 0.400) of ln G", "4.0 +- 0.1 nats")
+    assert "Caution: mu rises." in block
+    assert "above 30 nats" in population_block(population(log_bayes_factor=BAYES | {"value": 80.0}))[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--population", "--each"], "--population takes the curves as shots of one gel"),
+        (["--scatter-scale", "0.3"], "--scatter-scale is about --population"),
+    ],
+)
+def test_that_options_that_do_not_go_together_are_refused(options, message, capsys) -> None:
+    assert main(["characterize", "gel.csv", *options]) != 0
+    assert message in capsys.readouterr().err
+
+
+def _written(folder, count: int) -> str:
+    lines = ["experiment_id,time_s,radius_m"]
+    for trace in traces(tuple("abc"[:count])):
+        lines += [
+            f"{trace.experiment_id},{t!r},{r!r}" for t, r in zip(trace.time_s.tolist(), trace.radius_m.tolist(), strict=True)
+        ]
+    path = folder / "gel.csv"
+    path.write_text("\n".join(lines))
+    return str(path)
+
+
+def test_that_the_command_writes_report_json_figure_and_page(tmp_path, capsys) -> None:
+    options = [
+        "--models",
+        "nhkv",
+        "--population",
+        "--physics",
+        "polytropic",
+        "--rest-radius",
+        "0.2:0.01",
+        "--noise",
+        "published",
+    ]
+    out, page = tmp_path / "out", tmp_path / "page.html"
+    assert main(["characterize", _written(tmp_path, 3), *options, "--quiet", "--out", str(out), "--html", str(page)]) == 0
+    document = json.loads((out / "characterize.json").read_text())
+    found = document["population"]
+    assert found["verdict"] in ("none", "undecided")  # three shots of one gel
+    assert [shot["id"] for shot in found["shots"]] == ["a", "b", "c"]
+    low, _, high = found["parameters"]["G"]["median"]
+    assert low < 8310.0 < high
+    assert "Scatter of any parameter against none" in (out / "report.txt").read_text()
+    assert (out / "population.png").stat().st_size > 5000
+    assert "population" in [figure.name for figure in draw_figures(document)]
+    assert "Does the gel differ from shot to shot?" in page.read_text()
+    assert "standard deviation between shots of ln G" in capsys.readouterr().out
+
+
+def test_that_a_population_of_one_curve_is_refused(tmp_path, capsys) -> None:
+    with pytest.raises(InputDataError, match="A population needs several shots, and there is 1 curve"):
+        characterize(traces(("a",)), simulator=SIMULATOR, population=True)
+    large = Hypothesis(wide_prior(["gen_qkv"])["gen_qkv"], library(["sound_speed", "surface_tension"])).belief
+    prior = Belief((large,), torch.zeros(1, dtype=torch.float64))
+    with pytest.raises(InputDataError, match="has 5 free parameters, and at most 4 can differ"):
+        characterize(traces(("a", "b")), prior=prior, simulator=SIMULATOR, population=True)
+    with pytest.raises(InputDataError, match="scatter_scale is 0"):
+        characterize(traces(("a", "b")), simulator=SIMULATOR, population=True, scatter_scale=0.0)
