@@ -15,10 +15,11 @@ from benchmarks.gap.signals import signal_by_phase
 from benchmarks.gap.table import families
 from imr_torch.assimilate import SearchOptions
 from imr_torch.gap import LIBRARY, GapReport, diagnose, to_json
-from imr_torch.gap.attribute import ADEQUATE, adequacy_test
+from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.diagnose import impatient
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.gap.locate import PHASES, onset
+from imr_torch.gap.score import ADEQUATE
 from imr_torch.gap.shrinkage import held_out, shrinkage_unseen
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.attribute import ADEQUATE
+from imr_torch.gap.score import ADEQUATE
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.score import LEVEL, BlockResult
