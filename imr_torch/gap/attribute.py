@@ -1,11 +1,11 @@
 """Attribution of the gap: evidence of each effect, of none and of an unknown one, and the adequacy of the best.
 
-All effects are fitted in one batch, from two starts or, where an effect has several minima, from more; one is discarded once it
-cannot come within 6 nats of the best. (Scores at the null fit rank small effects well and large ones badly, so they only choose
-from where to start.) The evidence is that of the Gaussian approximation; where several are near the best, that of importance
-sampling. A closed library always has a best effect, so that must also be adequate: the gap test at its own fit gives ``p_ad``,
-and the probability of "other" follows from how probable that p-value is if an unknown effect of this size has been taken for
-the best known one (:mod:`imr_torch.gap.lookalike`).
+All effects are fitted in one batch, from two starts or, where an effect has several minima, from more; one is discarded once
+it cannot come within 6 nats of the best. (Scores at the null fit rank small effects well and large ones badly, so they only
+choose from where to start.) The evidence is that of the Gaussian approximation; where several are near the best, that of
+importance sampling. A closed library always has a best effect, so that must also be adequate: the gap test at its own fit
+gives ``p_ad``, and the probability of "other" follows from how probable that p-value is if an unknown effect of this size has
+been taken for the best known one (:mod:`imr_torch.gap.lookalike`).
 """
 
 import math

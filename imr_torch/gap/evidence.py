@@ -1,8 +1,8 @@
 """How far the evidence of effects can be relied on: by importance sampling, and under other prior scales.
 
-The evidence of every effect is that of the Gaussian approximation. Those of the leading effects, where they are near each other,
-are computed again by importance sampling (:mod:`imr_torch.assimilate.weighing`). A prior of another scale changes the evidence by
-the mean over the posterior of the ratio of the two prior densities.
+The evidence of every effect is that of the Gaussian approximation. Those of the leading effects, where they are near each
+other, are computed again by importance sampling (:mod:`imr_torch.assimilate.weighing`). A prior of another scale changes the
+evidence by the mean over the posterior of the ratio of the two prior densities.
 """
 
 from collections.abc import Mapping

@@ -1,12 +1,12 @@
 """How alike effects look in these data, and how often an unknown effect would pass for a known one.
 
 All of it is geometry at a fit: whitened changes of the curves with everything fitted (gel and nuisances) projected out
-(:mod:`imr_torch.gap.linear`). Two effects whose directions enclose an angle ``a`` differ by ``s sin a`` standard deviations when
-one of them shows with ``s``. An unknown effect is represented by reference directions: every effect of the library in turn, left
-out with its family, and random laws of the state. Its best likeness among the effects that are left explains ``s`` standard
-deviations and leaves ``s tan a``; the gap test is then run on what is left, with noise. How often it does not reject is the
-chance that an unknown effect looks like a known one; the whole distribution of its p-value, over the uniform one of the right
-effect, is the Bayes factor of an unknown effect given the p-value that was found.
+(:mod:`imr_torch.gap.linear`). Two effects whose directions enclose an angle ``a`` differ by ``s sin a`` standard deviations
+when one of them shows with ``s``. An unknown effect is represented by reference directions: every effect of the library in
+turn, left out with its family, and random laws of the state. Its best likeness among the effects that are left explains ``s``
+standard deviations and leaves ``s tan a``; the gap test is then run on what is left, with noise. How often it does not reject
+is the chance that an unknown effect looks like a known one; the whole distribution of its p-value, over the uniform one of
+the right effect, is the Bayes factor of an unknown effect given the p-value that was found.
 """
 
 import math
@@ -73,10 +73,12 @@ class Likeness:
             p_value: found at the leading effect's fit.
         """
         log = math.log(max(p_value, 1e-300))
-        low, high = log - _WINDOW, min(0.0, log + _WINDOW)
-        mass = float(self.weights @ ((self.log_p >= low) & (self.log_p <= high)).double().mean(1))
+        # each draw stands for p-values up to a factor of e away, evenly: the density integrates to one
+        width = (self.log_p + _WINDOW).clamp_max(0.0).exp() - (self.log_p - _WINDOW).exp()
+        near = (self.log_p - log).abs() <= _WINDOW
+        density = float(self.weights @ torch.where(near, width.clamp_min(1e-300).reciprocal(), 0.0).mean(1))
         strange = math.exp(math.log(_SHAPE) + (_SHAPE - 1.0) * log)
-        return (1.0 - _STRANGE) * mass / (math.exp(high) - math.exp(low)) + _STRANGE * strange
+        return (1.0 - _STRANGE) * density + _STRANGE * strange
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ def angles(rows: Mapping[str, Tensor], line: Linearisation) -> dict[str, dict[st
 def look_alikes(
     signal: Tensor, rows: Mapping[str, Tensor], line: Linearisation, *, farthest: float = LIKE
 ) -> dict[str, tuple[float, float]]:
-    """Effects that would look like one that was fitted: name -> angle in degrees and what they leave of it in sd, nearest first.
+    """Effects that would look like one that was fitted: name -> angle in degrees, and what they leave of it in sd.
 
     Args:
         signal: ``N`` tensor, whitened change of the curves by the fitted effect, at its fitted size.
@@ -211,13 +213,13 @@ class _Tests:
         return torch.stack([*logs, log_survival(total, self._freedom)])
 
     def without(self, logs: Tensor, family: str | None) -> Tensor:
-        """Smallest log p-value over the blocks but those of a family, which would not be offered; the last row is chi-square."""
+        """Smallest log p-value over all tests but the blocks of a family, which would not be offered."""
         kept = [i for i, own in enumerate([*self._families, ""]) if family is None or own != family]
         return logs[kept].amin(0)
 
 
 def _calibrated(smallest: Tensor, null: Tensor) -> Tensor:
-    """Log p-value of smallest block p-values (log) by those of noise alone, sorted; beyond their reach by Bonferroni's slope."""
+    """Log p-values of smallest block p-values, by sorted ones of noise alone; beyond their reach as Bonferroni would."""
     count = torch.searchsorted(null, smallest)
     rank = ((1.0 + count) / (1.0 + len(null))).log()
     tests = -math.log(len(null)) - float(null[0])  # effective number of tests, log

@@ -1,9 +1,9 @@
 """From evidence to probabilities of causes, and from these to a verdict by a stated loss.
 
 An unknown effect has prior odds against the known ones, and the Bayes factor of how much the best of them leaves unexplained
-(:mod:`imr_torch.gap.lookalike`); so the probability of "other" and the adequacy of the leading effect are one thing. The verdict
-names the set of causes of least expected loss: a truth outside the set costs 1, every further member .1, and to stay undecided
-.35. So a cause is a member where its probability exceeds .1, and an unknown effect is one like any other.
+(:mod:`imr_torch.gap.lookalike`); so the probability of "other" and the adequacy of the leading effect are one thing. The
+verdict names the set of causes of least expected loss: a truth outside the set costs 1, every further member .1, and to stay
+undecided .35. So a cause is a member where its probability exceeds .1, and an unknown effect is one like any other.
 """
 
 import math

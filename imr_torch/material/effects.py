@@ -14,7 +14,6 @@ register_effect(
         "stress rises faster than the neo-Hookean with stretch",
         "material",
         {"alpha": TruncatedNormal(0.0, 0.5, lower=0.0)},
-        confused="shear modulus; another stretch 1/R_inf* tells them apart",
         needs="G",
     )
 )
@@ -24,7 +23,6 @@ register_effect(
         "viscous stress relaxes within microseconds",
         "material",
         {"tau": TruncatedNormal(0.0, 2e-6, lower=0.0)},
-        confused="viscosity, shear thinning; another We (time scale) tells them apart",
         needs="mu",
     )
 )
@@ -35,7 +33,6 @@ register_effect(
         "material",
         {"thinning": TruncatedNormal(0.0, 0.3, lower=0.0, upper=1.0), "shear_time": LogNormal(1e-5, 5.0)},
         ((0.15, 1e-5), (0.4, 1e-5)),
-        "viscosity, relaxation; another We tells them apart",
         needs="mu",
     )
 )
@@ -45,7 +42,6 @@ register_effect(
         "the gel softens with accumulated strain",
         "material",
         {"damage": TruncatedNormal(0.0, 0.1, lower=0.0)},
-        confused="rest radius, stiffening; the second collapse tells them apart",
         needs="G",
     )
 )
@@ -55,7 +51,6 @@ register_effect(
         "the gel flows only above a stress",
         "material",
         {"yield_stress": TruncatedNormal(0.0, 3e3, lower=0.0)},
-        confused="viscosity",
     )
 )
 register_effect(
@@ -64,7 +59,6 @@ register_effect(
         "the modulus near the bubble differs",
         "material",
         {"graded_modulus": TruncatedNormal(0.0, 0.5, lower=-1.0)},
-        confused="shear modulus",
         needs="G",
     )
 )
@@ -74,7 +68,6 @@ register_effect(
         "growth has stretched the gel for good",
         "material",
         {"permanent_set": TruncatedNormal(0.0, 0.02)},
-        confused="rest radius",
         needs="G",
     )
 )

@@ -32,7 +32,6 @@ register_effect(
         "the true maximum was missed",
         "measurement",
         {"missed_maximum": TruncatedNormal(0.0, 0.015)},
-        confused="trigger offset, residual velocity",
     )
 )
 register_effect(
@@ -41,7 +40,6 @@ register_effect(
         "the clock starts early or late",
         "measurement",
         {"trigger_offset": TruncatedNormal(0.0, 0.025)},
-        confused="residual velocity: the same to first order; frames before the maximum tell them apart",
         group="start",
     )
 )
@@ -51,7 +49,6 @@ register_effect(
         "the rest radius is misread",
         "geometry",
         {"rinf_bias": TruncatedNormal(0.0, 0.05)},
-        confused="heat exchange, damage, viscosity",
     )
 )
 register_effect(
@@ -60,7 +57,6 @@ register_effect(
         "frame rate or pixel size is off",
         "measurement",
         {"clock": TruncatedNormal(0.0, 0.025)},
-        confused="vapour pressure, shear modulus",
     )
 )
 register_effect(
@@ -69,7 +65,6 @@ register_effect(
         "frames average over their exposure",
         "measurement",
         {"exposure_blur": TruncatedNormal(0.0, 0.05, lower=0.0)},
-        confused="nothing alike",
     )
 )
 register_effect(
@@ -78,7 +73,6 @@ register_effect(
         "the gel refracts: R is magnified as it grows",
         "measurement",
         {"refraction": TruncatedNormal(0.0, 0.01)},
-        confused="missed maximum",
     )
 )
 
