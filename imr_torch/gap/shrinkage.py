@@ -339,17 +339,28 @@ def _bootstrap(
         expected = [_expected(d) / count for d in designs]
         observed = [float((d.residual.square() / d.counts).sum()) / count for d in designs]
         gaps[name] = sum(observed) - sum(expected)
-        trained = sum(float((_less_nuisances(d, d.by_training.mT).square() / d.counts).sum()) for d in designs) / count
-        scale = math.sqrt(max(gaps[name] - trained, 0.0) / sum(observed))
+        trained = [float((_less_nuisances(d, d.by_training.mT).square() / d.counts).sum()) / count for d in designs]
+        scales = _scales(observed, expected, trained)
         training = torch.randn(_BOOTSTRAP, designs[0].by_training.shape[1], generator=source, dtype=torch.float64)
         rows = [
             ((scale * d.residual + _less_nuisances(d, e + training @ d.by_training.mT)).square() / d.counts).sum(1) / count
             - left
-            for d, e, left in zip(designs, noise, expected, strict=True)
+            for d, e, left, scale in zip(designs, noise, expected, scales, strict=True)
         ]
         drawn[name] = (torch.stack(rows, 1) * weights).sum(1)
     intervals = {name: _ratio_interval(drawn[name], drawn[_NONE]) for name in held if name != _NONE}
     return gaps, intervals
+
+
+def _scales(observed: Sequence[float], expected: Sequence[float], trained: Sequence[float]) -> list[float]:
+    """Factors on the residual of each design that leave its bias alone, without noise and the variance of the training fit.
+
+    Designs whose square is below that of noise have none; the others share what is left of the whole.
+    """
+    own = [max(o - e - t, 0.0) for o, e, t in zip(observed, expected, trained, strict=True)]
+    whole = max(sum(observed) - sum(expected) - sum(trained), 0.0)
+    share = whole / sum(own) if whole else 0.0
+    return [math.sqrt(share * part / total) for part, total in zip(own, observed, strict=True)]
 
 
 def _design_weights(count: int, source: torch.Generator) -> Tensor:
