@@ -2,9 +2,9 @@
 
 The moment from which a gap can be detected comes earlier with every repeat. The share of the signal does not: the effect is
 switched off at its own fit, what a refit of the gel to the frames up to the end of each phase leaves of the change is
-measured in standard deviations, and the increase of its square over each phase, over the whole, is that phase's share. Refits
-are linear (:mod:`imr_torch.gap.restrict`). The interval is that over posterior draws of the effects that the verdict names,
-in proportion to their probabilities.
+measured in standard deviations, and the increase of its square over each phase, over the whole, is that phase's share: a
+change that the gel takes back until later counts where it no longer can. Refits are linear (:mod:`imr_torch.gap.restrict`).
+The interval is that over posterior draws of the effects that the verdict names, in proportion to their probabilities.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ class WhereItActs:
 
     >>> from imr_torch.gap.acts import WhereItActs
     >>> print(WhereItActs({"start": (0.0, 0.02, 0.1), "first collapse": (0.7, 0.8, 0.9), "later": (0.1, 0.18, 0.3)}, 24))
-    It acts in: first collapse .80 (.70 to .90), later .18 (.10 to .30) of its signal.
+    Its signal beside a refit of the gel comes from: first collapse .80 (.70 to .90), later .18 (.10 to .30).
     """
 
     shares: dict[str, tuple[float, float, float]]
@@ -47,7 +47,7 @@ class WhereItActs:
         ranked = sorted(self.shares.items(), key=lambda item: -item[1][1])
         shown = [item for item in ranked if item[1][2] >= _SHOWN]
         said = [f"{phase} {_share(middle)} ({_share(low)} to {_share(high)})" for phase, (low, middle, high) in shown]
-        return f"It acts in: {', '.join(said)} of its signal."
+        return f"Its signal beside a refit of the gel comes from: {', '.join(said)}."
 
 
 def _share(value: float) -> str:

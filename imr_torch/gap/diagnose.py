@@ -24,6 +24,7 @@ from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, PolytropicSimulator, Simulator, TransportSimulator, with_inner
 from imr_torch.types import Progress
 
+_NO_GAP = 0.5  # probability of the base model alone from which on there is no gap
 _UNKNOWN = 0.5  # probability of an unknown effect from which on the verdict is "other", once further effects were tried
 _STEPS = 600  # of a polytropic bubble: a relaxation time of .3 us takes 480, most gels 200
 _FURTHER = 3.0  # nats that an effect must explain to count as more than nothing
@@ -206,7 +207,7 @@ def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed
         if chosen and gained < _FURTHER:
             break
         choice, steps, held = choose(found.posterior), (*steps, found), chosen
-        if not held and choice.leader == NONE:
+        if not held and found.posterior[NONE] >= _NO_GAP:
             return replace(_not_confirmed(found, left.test), choice=choice, steps=steps)
         chosen = (*chosen, next(e for e in inquiry.effects if e.name == found.winner.split("+")[-1]))
         fit = found.fits[found.winner]

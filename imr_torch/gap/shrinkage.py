@@ -327,8 +327,8 @@ def _bootstrap(
 
     The bias found, scaled to the size that is left of it without noise and without the variance of the training fit, is taken
     as true. Noise is drawn anew, the same for every hypothesis, and passed through the fit of the nuisances; so is what other
-    training data would have changed, the same for all designs of a draw. Designs are weighted at random (Bayesian bootstrap:
-    Rubin, Ann. Stat. 9, 1981), since it is they that are exchangeable, not frames.
+    training data would have changed, the same for all designs of a draw. Designs are drawn anew too, since it is they
+    that are exchangeable, not frames.
     """
     source = generator(child(seed, "bootstrap"))
     count = sum(len(d.residual) for d in held[_NONE])
@@ -366,12 +366,13 @@ def _scales(observed: Sequence[float], expected: Sequence[float], trained: Seque
 def _design_weights(count: int, source: torch.Generator) -> Tensor:
     """``B x count`` random weights of mean one, under which a mean over designs has the variance of a sample mean.
 
-    Dirichlet weights alone give ``(n - 1)/(n + 1)`` of it.
+    One design fewer than there are is drawn with replacement (Rao & Wu, J. Am. Stat. Assoc. 83, 1988).
     """
     if count == 1:
         return torch.ones(_BOOTSTRAP, 1, dtype=torch.float64)
-    weights = torch.empty(_BOOTSTRAP, count, dtype=torch.float64).exponential_(generator=source)
-    return 1.0 + math.sqrt((count + 1) / (count - 1)) * (weights / weights.mean(1, keepdim=True) - 1.0)
+    picked = torch.randint(count, (_BOOTSTRAP, count - 1), generator=source)
+    times = torch.nn.functional.one_hot(picked, count).sum(1).to(torch.float64)
+    return times * count / (count - 1)
 
 
 def _ratio_interval(left: Tensor, base: Tensor) -> tuple[float, float, float]:

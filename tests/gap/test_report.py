@@ -84,7 +84,11 @@ def test_that_json_has_the_agreed_keys_and_what_was_found(found):
     assert document["verdict"] == "effect"
     assert document["cause"] == ["sound_speed"]
     assert document["first_detected_phase"] in ("first collapse", "first rebound")
-    assert max(document["acts"], key=lambda phase: document["acts"][phase][1]) in ("first collapse", "first rebound", "later")
+    assert max(document["acts"], key=lambda phase: document["acts"][phase][1]) in (
+        "first collapse",
+        "first rebound",
+        "second collapse",
+    )
     assert sum(middle for _, middle, _ in document["acts"].values()) == pytest.approx(1.0, abs=0.1)
     assert set(document["posterior_at_odds"]) == {"1:9", "1:1"}
     assert document["posterior"] == document["posterior_at_odds"][document["verdict_odds"]]
@@ -94,7 +98,7 @@ def test_that_json_has_the_agreed_keys_and_what_was_found(found):
     assert sum(document["posterior"].values()) == pytest.approx(1.0)
     assert {"none", "other"} <= set(document["posterior"])
     low, median, high = document["shrinkage"]["sound_speed"]
-    assert 0.8 < low <= median <= high
+    assert 0.5 < low <= median <= high
     assert document["best_rival"] in document["shrinkage"]
     shift = document["parameter_shift"]["mu"]
     assert shift["base"][1] < 0.07 < shift["with_cause"][0] < 0.08 < shift["with_cause"][2]
@@ -271,7 +275,7 @@ def read(page: Path) -> _Reader:
 def test_that_the_page_is_one_file_with_every_figure_decodable_and_described(page):
     reader = read(page)
     assert all(link.startswith("data:") for link in reader.links)
-    assert len(reader.images) == 10
+    assert len(reader.images) == 11
     for image in reader.images:
         pixels = imread(io.BytesIO(base64.b64decode(image["src"].removeprefix("data:image/png;base64,"))))
         assert min(pixels.shape[:2]) > 100
@@ -318,7 +322,7 @@ def test_that_a_browser_draws_every_figure_without_a_complaint(page, tmp_path):
     ]
     done = subprocess.run([BROWSER, *options, "--dump-dom", copy.as_uri()], capture_output=True, text=True, timeout=120)
     widths = re.findall(r'data-width="(\d+)"', done.stdout)
-    assert len(widths) == 10
+    assert len(widths) == 11
     assert all(int(width) > 100 for width in widths)
     assert "CONSOLE" not in done.stderr
 
