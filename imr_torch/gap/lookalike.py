@@ -47,7 +47,7 @@ class Likeness:
     >>> log_p = torch.tensor([[0.6, 0.3], [1e-9, 1e-8]], dtype=torch.float64).log()
     >>> found = Likeness(9.0, log_p, torch.tensor([0.25, 0.75], dtype=torch.float64), {})
     >>> found.chance, found.bayes_factor(0.5) < 1.0 < found.bayes_factor(1e-8)
-    (0.25, True, True)
+    (0.25, True)
     """
 
     size: float
