@@ -73,7 +73,7 @@ def line(row: dict[str, Any]) -> str:
         row["set"],
         f"{row['curves']}{', R_inf assumed' if row['rest_assumed'] else ''}",
         f"{row['p_gap']:.1g}; {row['bias_sigma']:.1f} sd, {row['bias_radius']:.3f}",
-        row["onset_phase"] or "",
+        row["first_detected_phase"] or "",
         f"{row['verdict']} {', '.join(row['cause'])}".strip(),
         ", ".join(f"{name} {p:.2f}" for name, p in _most(row["posterior"])),
         "" if row["adequacy_p"] is None else f"{row['adequacy_p']:.1g}",

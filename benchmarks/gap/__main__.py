@@ -1,7 +1,8 @@
 """How often the diagnosis is right: synthetic sets with none, one, a withheld or two effects, scored beside usual ways.
 
   python -m benchmarks.gap run OUT.jsonl [--sets 25] [--kinds none,effect,withheld,pair,next] [--sizes 3x10,10x10,3x100]
-                               [--physics polytropic] [--nuisances] [--seed 0] [--workers 2] [--onset] [--shrinkage]
+                               [--physics polytropic] [--truths reference] [--nuisances]
+                             [--seed 0] [--workers 2] [--onset] [--shrinkage]
   python -m benchmarks.gap table OUT.jsonl ... [--json ROWS.json]
 
 One line a set is appended as it finishes, and sets that have a line are not run again, so a run can be stopped, resumed and
@@ -22,8 +23,9 @@ from typing import Any
 
 import torch
 
+from benchmarks.gap import causes
 from benchmarks.gap.run import Extras, frozen, run_task, thresholds
-from benchmarks.gap.sets import KINDS, PHYSICS, Task
+from benchmarks.gap.sets import KINDS, PHYSICS, TRUTHS, Task
 from benchmarks.gap.table import amounts, controls, read_lines, shares, table
 from imr_torch.errors import ConvergenceWarning, InputDataError
 from imr_torch.gap import library
@@ -41,6 +43,7 @@ def tasks(
     seed: int = 0,
     nuisances: bool = False,
     effects: Sequence[str] = (),
+    truths: str = TRUTHS[0],
 ) -> Iterator[Task]:
     """Sets in an order in which a run that is stopped has as many of each kind and size.
 
@@ -52,7 +55,7 @@ def tasks(
         for kind in kinds:
             for size in (_OWN_SIZE[kind],) if kind in _OWN_SIZE else sizes:
                 designs, repeats = _size(size)
-                yield Task(kind, designs, repeats, physics, number, nuisances, tuple(effects))
+                yield Task(kind, designs, repeats, physics, number, nuisances, tuple(effects), truths)
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -127,6 +130,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     runs.add_argument("--kinds", default=",".join(KINDS), metavar="KIND,...")
     runs.add_argument("--sizes", default="3x10,10x10,3x100", metavar="DxR,...")
     runs.add_argument("--physics", choices=PHYSICS, default="polytropic")
+    runs.add_argument("--truths", choices=TRUTHS, default=TRUTHS[0], help="by what truths of full physics are simulated")
     runs.add_argument("--nuisances", action="store_true", help="errors of Rmax, time zero and R_inf of each experiment")
     runs.add_argument("--effects", default="", metavar="NAME,...", help="a part of the library to draw from and to offer")
     runs.add_argument("--seed", type=int, default=0, help="of the first set; further sets count up")
@@ -142,21 +146,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _score(args)
         return
     names = [[name for name in text.split(",") if name] for text in (args.kinds, args.sizes, args.effects)]
-    wanted = tasks(
-        names[0], names[1], args.physics, args.sets, seed=args.seed, nuisances=args.nuisances, effects=tuple(names[2])
-    )
+    own = {"nuisances": args.nuisances, "effects": tuple(names[2]), "truths": args.truths}
+    wanted = tasks(names[0], names[1], args.physics, args.sets, seed=args.seed, **own)
     extras = Extras(args.onset, args.shrinkage, not args.no_baselines)
     run(args.out, wanted, extras, workers=args.workers)
+    print(causes.table(read_lines(args.out)))
 
 
 def _score(args: argparse.Namespace) -> None:
     lines = [line for name in args.files for line in read_lines(name)]
-    print(table(lines))
+    print(table(lines), causes.table(lines), sep="\n\n")
     if args.json:
         rows = {}
         for physics in PHYSICS:
             own = [line for line in lines if line["physics"] == physics]
-            rows[physics] = [asdict(row) for row in (*shares(own), *amounts(own), *controls(own))]
+            rows[physics] = [asdict(row) for row in (*shares(own), *amounts(own), *controls(own), *causes.causes(own))]
         args.json.write_text(json.dumps(rows, indent=1) + "\n")
 
 

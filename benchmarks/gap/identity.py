@@ -13,7 +13,8 @@ from benchmarks.gap.sets import SyntheticSet, Task, draw_designs, film, make_pla
 from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError
 from imr_torch.gap import LIBRARY
-from imr_torch.gap.attribute import Attribution, Inquiry, adequacy_test, attribute
+from imr_torch.gap.adequacy import adequacy_test
+from imr_torch.gap.attribute import Attribution, Inquiry, attribute
 from imr_torch.gap.hypotheses import fit_null
 from imr_torch.gap.identity_design import identity_design
 from imr_torch.material import wide_prior

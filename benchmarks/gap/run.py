@@ -3,6 +3,7 @@
 import hashlib
 import importlib
 import json
+import math
 import numbers
 from collections.abc import Iterator
 from dataclasses import dataclass, is_dataclass
@@ -15,19 +16,46 @@ from benchmarks.gap.signals import signal_by_phase
 from benchmarks.gap.table import families
 from imr_torch.assimilate import SearchOptions
 from imr_torch.gap import LIBRARY, GapReport, diagnose, to_json
-from imr_torch.gap.attribute import ADEQUATE, adequacy_test
+from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.diagnose import impatient
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.gap.locate import PHASES, onset
+from imr_torch.gap.score import ADEQUATE
 from imr_torch.gap.shrinkage import held_out, hold_out, judge
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 
-_DECIDING = ("score", "attribute", "diagnose", "hypotheses", "locate", "refitted", "restrict", "shrinkage", "windows")
+_DECIDING = (
+    "score",
+    "adequacy",
+    "lookalike",
+    "evidence",
+    "verdict",
+    "attribute",
+    "diagnose",
+    "hypotheses",
+    "locate",
+    "refitted",
+    "restrict",
+    "shrinkage",
+    "windows",
+)
 _LOUD = 4.5  # sd at which one test of hundreds rejects at one per cent
 _LESS = 0.7  # amplitude of a second start over the true one
-_KEPT = ("gap", "p_gap", "bias_sigma", "verdict", "cause", "adequacy_p", "converged", "seconds")
+_KEPT = (
+    "gap",
+    "p_gap",
+    "bias_sigma",
+    "verdict",
+    "cause",
+    "adequacy_p",
+    "converged",
+    "seconds",
+    "members",
+    "posterior_at_odds",
+    "unknown",
+)
 
 
 @dataclass(frozen=True)
@@ -72,7 +100,7 @@ def run_task(task: Task, extras: Extras | None = None) -> dict[str, Any]:
     """
     extras = extras or Extras()
     line: dict[str, Any] = {"key": task.key, "kind": task.kind, "size": task.size, "physics": task.physics}
-    line |= {"nuisances": task.nuisances, "seed": task.seed, "frozen": frozen()}
+    line |= {"nuisances": task.nuisances, "seed": task.seed, "truths": task.truths, "frozen": frozen()}
     try:
         if task.kind == "next":
             no_verdict = {"gap": False, "verdict": "next", "cause": []}
@@ -101,6 +129,10 @@ def summary(report: GapReport) -> dict[str, Any]:
     line: dict[str, Any] = {key: document[key] for key in _KEPT}
     line |= {"selected": [], "winner": None, "posterior": None, "credible_set": None}
     found = report.attribution
+    if report.steps:
+        first = report.steps[0]
+        chance = first.likeness.chance if first.likeness else math.nan
+        line["first"] = {"chance": chance, "adequate": first.adequacy.p_value >= ADEQUATE, "winner": first.winner}
     if found is not None:
         *before, _ = found.winner.split("+")
         own = {"none": "+".join(before)} if before else {}

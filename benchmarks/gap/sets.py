@@ -1,7 +1,8 @@
 """Synthetic sets whose truth is known: a random gel and designs, with no effect, one, or two, as a camera would film them.
 
 Effects act through the library, so this tests the diagnosis where its closures are right; whether it survives those of
-another hand is for data from elsewhere. Truths are simulated more finely than the diagnosis simulates.
+another hand is for data from elsewhere. Truths are simulated by another setting than the diagnosis simulates by: finer in
+time and with more modes (``reference``: 32 + 40), or with another number of them (``modes``: 24 + 28).
 """
 
 import math
@@ -17,10 +18,12 @@ from imr_torch.gap.sets import NUISANCE
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
 from imr_torch.random import child, generator
-from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, TransportSimulator
+from imr_torch.simulate import ACCURACIES, STEPPINGS, Accuracy, PolytropicSimulator, Resolution, TransportSimulator
 
 KINDS = ("none", "effect", "withheld", "pair", "next")
 PHYSICS = ("polytropic", "transport")
+TRUTHS = ("reference", "modes")
+_MODES = Accuracy(1e-6, Resolution(24, 28), max_steps=100000)
 UNSEEN = 2  # designs beside those diagnosed, to judge shrinkage on
 
 GEL = {"G": (2e3, 15e3), "mu": (0.03, 0.3)}
@@ -45,6 +48,7 @@ class Task:
         seed: of the set and of its diagnosis.
         nuisances: whether each experiment has errors of Rmax, time zero and R_inf, which the diagnosis knows about.
         effects: names that truths are drawn from and that are offered; the whole library when empty.
+        truths: one of ``TRUTHS``, by what the truth is simulated; polytropic ones are by finer steps in either case.
     """
 
     kind: str
@@ -54,11 +58,13 @@ class Task:
     seed: int
     nuisances: bool = False
     effects: tuple[str, ...] = ()
+    truths: str = "reference"
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS or self.physics not in PHYSICS:
+        if self.kind not in KINDS or self.physics not in PHYSICS or self.truths not in TRUTHS:
             raise InputDataError(
-                f"Task: expected a kind of {KINDS} and a physics of {PHYSICS}, got {self.kind}, {self.physics}."
+                f"Task: expected a kind of {KINDS}, a physics of {PHYSICS} and truths of {TRUTHS}, got {self.kind}, "
+                f"{self.physics}, {self.truths}."
             )
         if self.designs < 1 or self.repeats < 1:
             raise InputDataError(f"Task: {self.designs} designs x {self.repeats} repeats; expected at least 1 of each.")
@@ -71,7 +77,8 @@ class Task:
     @property
     def key(self) -> str:
         """What tells it from every other set."""
-        return f"{self.kind}/{self.size}/{self.physics}/{'nuisances' if self.nuisances else 'exact'}/{self.seed}"
+        own = "" if self.truths == TRUTHS[0] else f"/{self.truths}"
+        return f"{self.kind}/{self.size}/{self.physics}/{'nuisances' if self.nuisances else 'exact'}/{self.seed}{own}"
 
     @property
     def candidates(self) -> tuple[Effect, ...]:
@@ -79,10 +86,12 @@ class Task:
         return library(self.effects or None)
 
     def simulator(self, *, fine: bool = False) -> PolytropicSimulator | TransportSimulator:
-        """The simulator of the diagnosis, or the finer one of the truth."""
+        """The simulator of the diagnosis, or that of the truth, which has another discretisation error."""
         if self.physics == "polytropic":
             return PolytropicSimulator(stepping=STEPPINGS["reference" if fine else "default"])
-        return TransportSimulator(accuracy=ACCURACIES["default" if fine else "search"])
+        if not fine:
+            return TransportSimulator(accuracy=ACCURACIES["search"])
+        return TransportSimulator(accuracy=_MODES if self.truths == "modes" else ACCURACIES["reference"])
 
 
 @dataclass(frozen=True)

@@ -1,40 +1,35 @@
 """Attribution of the gap: evidence of each effect, of none and of an unknown one, and the adequacy of the best.
 
-All effects are fitted in one batch, from two starts or, where an effect has several minima, from more; one is discarded once it
-cannot come within 6 nats of the best. (Scores at the null fit rank small effects well and large ones badly, so they only choose
-from where to start.) The evidence is that of the Gaussian approximation. A closed library always has a best effect, so that
-must also be adequate: the gap test at its own fit gives ``p_ad``, and the probability of "other" follows from how often one or
-two known effects fit the data of an unknown one, and by the bound of Sellke, Bayarri & Berger (Am. Stat. 55, 2001) on what it
-could gain, ``1/(-e p ln p)``.
+All effects are fitted in one batch, from two starts or, where an effect has several minima, from more; one is discarded once
+it cannot come within 6 nats of the best. (Scores at the null fit rank small effects well and large ones badly, so they only
+choose from where to start.) The evidence is that of the Gaussian approximation; where several are near the best, that of
+importance sampling. A closed library always has a best effect, so that must also be adequate: the gap test at its own fit
+gives ``p_ad``, and the probability of "other" follows from how probable that p-value is if an unknown effect of this size has
+been taken for the best known one (:mod:`imr_torch.gap.lookalike`).
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-
-from torch import Tensor
+from dataclasses import dataclass, field
 
 from imr_torch.assimilate import ModelFit, SearchOptions
+from imr_torch.gap.adequacy import Adequacy, adequacy_test
+from imr_torch.gap.evidence import CheckedEvidence, check_evidence, rescaled_evidence
 from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence
-from imr_torch.gap.linear import Linearisation, linearise
-from imr_torch.gap.refitted import refitted_directions
-from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_blocks, promising_starts
+from imr_torch.gap.lookalike import LIKE, Likeness
+from imr_torch.gap.score import GapTest
+from imr_torch.gap.verdict import NONE, ODDS, VERDICT_ODDS, probabilities
 from imr_torch.material import Effect, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
-PRIOR_NONE, PRIOR_OTHER = 0.5, 0.1
-PRIOR_TWO = 0.05
-"""That two effects of the library act at once; ``PRIOR_OTHER`` is for one that is not in it."""
-ADEQUATE = 0.05
-"""Below this ``p_ad`` the winner leaves a gap, and the verdict is a further effect or "other"; a right winner is so doubted by
-chance once in twenty. In the sets tried, two of four adequate wrong winners lay between .01 and here, one of 39 right ones."""
-
-_MASKED = 0.35  # chance that some effect of the library is adequate although the true one is not in it
-_MASKED_BY_TWO = 0.14  # that two are together, where none is alone: five of 35 withheld effects
+SCALES = (0.5, 2.0)
+"""Factors on the prior scales of all amplitudes under which the leader's probability is computed again."""
 _LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
+_WIDE = 45.0  # degrees from which on two effects are not called alike, however small
+_NEGLIGIBLE = 20.0  # nats behind the best at which another prior scale does not matter
 _FIT = SearchOptions(starts=2, iterations=30, drop_behind=6.0, basin_rounds=0, polish=False)  # the winner's is finished later
 
 
@@ -45,11 +40,19 @@ class Attribution:
     Args:
         fits: hypothesis -> fit, ``"none"`` among them; one that was discarded is not converged.
         log_evidence: hypothesis -> nats.
-        posterior: hypothesis -> probability, with ``"none"`` and ``"other"``; those not fitted to the end are far behind.
-        families: class -> probability, effects that are the same to first order summed.
+        posterior: hypothesis -> probability at ``VERDICT_ODDS``, with ``"none"`` and ``"other"``; those not fitted to the end
+            are far behind.
+        families: family -> probability, declared forms of one thing summed.
         winner: name of the best hypothesis beside none.
         adequacy: the gap test at the winner's fit.
         next_starts: from where a further effect beside the winner would start.
+        left: the test at the winner's fit with its directions, for a further effect.
+        likeness: what an unknown effect of this size would look like.
+        at_odds: prior odds of an unknown effect -> posterior.
+        alike: effects that look like the winner's last one at its fitted size -> angle in degrees, and what they leave of it in
+            sd, nearest first.
+        checked: hypothesis -> its evidence by importance sampling, of those near the best.
+        rescaled: factor on the prior scales of all amplitudes -> probability of the winner.
     """
 
     fits: dict[str, ModelFit]
@@ -59,6 +62,12 @@ class Attribution:
     winner: str
     adequacy: GapTest
     next_starts: dict[str, tuple[tuple[float, ...], ...]]
+    left: Adequacy | None = None
+    likeness: Likeness | None = None
+    at_odds: dict[float, dict[str, float]] = field(default_factory=dict)
+    alike: dict[str, tuple[float, float]] = field(default_factory=dict)
+    checked: dict[str, CheckedEvidence] = field(default_factory=dict)
+    rescaled: dict[float, float] = field(default_factory=dict)
 
     def credible_set(self, level: float = 0.95) -> tuple[str, ...]:
         """The most probable entries of the posterior that together reach a level."""
@@ -96,10 +105,12 @@ class Inquiry:
 def attribute(
     inquiry: Inquiry,
     null: ModelFit,
-    starts: Mapping[str, Sequence[Sequence[float]]],
+    starts: Mapping[str, Sequence[Sequence[float]]] | None = None,
     *,
     seed: int,
     with_: Sequence[Effect] = (),
+    before: Adequacy | None = None,
+    masked: float = 1.0,
     progress: Progress | None = None,
 ) -> Attribution:
     """Fit all effects and compute their probabilities.
@@ -107,27 +118,30 @@ def attribute(
     Args:
         inquiry: base model, effects and data.
         null: the fit that leaves a gap, from which effects start.
-        starts: from which values each effect starts (:func:`imr_torch.gap.score.promising_starts`).
+        starts: from which values each effect starts; those of ``before`` by default.
         seed: of the fits and of the adequacy test.
         with_: effects that are in every hypothesis already (forward selection of a second one).
+        before: the gap test at ``null``, made here where it is not given.
+        masked: beside ``with_``, the chance that these alone did not explain an unknown effect.
         progress: called with one line per step.
     """
     base, batch, simulator, effects = inquiry.base, inquiry.batch, inquiry.simulator, inquiry.beside(with_)
+    before = before or adequacy_test(null, inquiry.effects, batch, simulator, seed=child(seed, "before"))
     null_name = Hypothesis(base, tuple(with_)).name
     hypotheses = [Hypothesis(base, (*with_, effect)) for effect in effects]
     if progress:
         progress(f"attribution: {len(effects)} effects")
+    starts = before.starts if starts is None else starts
     found = fit_hypotheses(hypotheses, null, batch, simulator, seed=seed, starts=starts, options=_FIT, progress=progress)
     fits = {null_name: null} | found
     evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
-    winner = max((name for name in fits if name != null_name), key=lambda name: evidence[name])
-    if not fits[winner].certificate.converged:
-        fits[winner] = finish(fits[winner], batch, simulator, seed=child(seed, "finish"), progress=progress)
-        evidence[winner] = laplace_evidence(fits[winner])
-    return _judged(inquiry, fits, evidence, winner, tuple(with_), seed=child(seed, "adequacy"))
+    problem = _Problem(inquiry, null, before, tuple(with_), masked)
+    return _concluded(problem, fits, evidence, seed=seed, progress=progress)
 
 
-def reconsider(inquiry: Inquiry, found: Attribution, effect: Effect, beside: ModelFit, *, seed: int) -> Attribution:
+def reconsider(
+    inquiry: Inquiry, found: Attribution, effect: Effect, beside: ModelFit, *, seed: int, before: Adequacy | None = None
+) -> Attribution:
     """The attribution of a first effect again, once another was found beside its winner: is that one better alone?
 
     An effect with several minima (the moment of a pulse) may be found only beside another effect that explains most.
@@ -138,101 +152,129 @@ def reconsider(inquiry: Inquiry, found: Attribution, effect: Effect, beside: Mod
         effect: the one found beside it.
         beside: the fit of both.
         seed: of the fit and of the adequacy test.
+        before: the gap test at the fit without an effect, made here where it is not given.
 
     Returns:
         ``found`` itself unless the effect alone explains more than its winner.
     """
     batch, simulator = inquiry.batch, inquiry.simulator
-    places = map(beside.prior.names.index, effect.names)
-    amplitude, *shape = (float(beside.prior.marginals[i].to_physical(beside.mean[i])) for i in places)
-    starts = {effect.name: [(amplitude, *shape), (_LESS * amplitude, *shape)]}
+    starts = {effect.name: _near_values(beside, effect)}
     alone = Hypothesis(inquiry.base, (effect,))
     fit = fit_hypotheses([alone], beside, batch, simulator, seed=seed, starts=starts, options=_FIT)[alone.name]
     if laplace_evidence(fit) <= found.log_evidence[found.winner]:
         return found
-    if not fit.certificate.converged:
-        fit = finish(fit, batch, simulator, seed=child(seed, "finish"))
+    null = found.fits[NONE]
+    before = before or adequacy_test(null, inquiry.effects, batch, simulator, seed=child(seed, "before"))
     fits, evidence = found.fits | {alone.name: fit}, found.log_evidence | {alone.name: laplace_evidence(fit)}
-    return _judged(inquiry, fits, evidence, alone.name, (), seed=child(seed, "adequacy"))
+    return _concluded(_Problem(inquiry, null, before, (), 1.0), fits, evidence, seed=seed)
 
 
-def _judged(
-    inquiry: Inquiry,
-    fits: dict[str, ModelFit],
-    evidence: dict[str, float],
-    winner: str,
-    with_: tuple[Effect, ...],
-    *,
-    seed: int,
-) -> Attribution:
-    """Fits with what their evidence and the winner's adequacy say."""
-    left = adequacy_test(fits[winner], inquiry.effects, inquiry.batch, inquiry.simulator, seed=seed)
-    posterior, families = _weigh(evidence, inquiry.beside(with_), with_, left.test.p_value)
-    return Attribution(fits, evidence, posterior, families, winner, left.test, left.starts)
+def _near_values(fit: ModelFit, effect: Effect) -> list[tuple[float, ...]]:
+    """An effect's values at a fit that holds it, and the same with a smaller amplitude."""
+    amplitude, *shape = fitted_values(fit, effect)
+    return [(amplitude, *shape), (_LESS * amplitude, *shape)]
+
+
+def fitted_values(fit: ModelFit, effect: Effect) -> tuple[float, ...]:
+    """An effect's parameters at a fit that holds it, SI."""
+    places = map(fit.prior.names.index, effect.names)
+    return tuple(float(fit.prior.marginals[i].to_physical(fit.mean[i])) for i in places)
 
 
 @dataclass(frozen=True)
-class Adequacy:
-    """The gap test at a fit that includes effects: whether anything is left unexplained.
+class _Problem:
+    """One round of attribution: an inquiry, the fit that leaves a gap, the test there, and effects that are held."""
 
-    Args:
-        test: the gap test there.
-        starts: from where each effect that the fit does not hold would start.
-        line: local sensitivities at the fit.
-        directions: what each of those effects changes there (:func:`imr_torch.gap.score.effect_directions`).
-    """
+    inquiry: Inquiry
+    null: ModelFit
+    before: Adequacy
+    with_: tuple[Effect, ...]
+    masked: float
 
-    test: GapTest
-    starts: dict[str, tuple[tuple[float, ...], ...]]
-    line: Linearisation
-    directions: dict[str, Tensor]
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects asked about."""
+        return self.inquiry.beside(self.with_)
 
-
-def adequacy_test(
-    fit: ModelFit, effects: Sequence[Effect], batch: ExperimentBatch, simulator: Simulator, *, seed: int
-) -> Adequacy:
-    """The gap test at a fit, of effects that it does not hold and of the generic blocks."""
-    line = linearise(fit, batch, simulator)
-    others = [effect for effect in effects if not set(effect.names) & set(fit.prior.names)]
-    directions = effect_directions(others, fit, batch, simulator, line)
-    beside = refitted_directions(others, fit, batch, simulator, line, directions)
-    generic = generic_blocks(fit, batch, simulator, line)
-    blocks = [block(name, rows, line) for name, rows in beside.items()]
-    starts = {effect.name: promising_starts(effect, beside[effect.name], line) for effect in others}
-    return Adequacy(gap_test([*blocks, *generic], line, seed=seed), starts, line, directions)
+    @property
+    def null_name(self) -> str:
+        """Name of the hypothesis without any of them."""
+        return Hypothesis(self.inquiry.base, self.with_).name
 
 
-def _weigh(
-    evidence: dict[str, float], effects: Sequence[Effect], with_: tuple[Effect, ...], p_adequate: float
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Posterior over hypotheses and over families, with ``"none"`` (of the effects asked about) and ``"other"``."""
-    families = sorted({effect.family for effect in effects})
-    share = (1.0 - PRIOR_NONE - PRIOR_OTHER) / len(families)
-    prefix = "+".join(effect.name for effect in with_)
-    weights: dict[str, float] = {}
-    family_of = {}
-    for effect in effects:
-        name = f"{prefix}+{effect.name}" if prefix else effect.name
-        members = sum(other.family == effect.family for other in effects)
-        family_of[name] = effect.family
-        if name in evidence:
-            weights[name] = math.log(share / members) + evidence[name]
-    weights["none"] = math.log(PRIOR_NONE) + evidence[prefix or "none"]
-    top = max(weights.values())
-    known = sum(math.exp(w - top) for w in weights.values())
-    other = known * _odds_of_other(p_adequate, two=bool(with_))
-    posterior = {name: math.exp(w - top) / (known + other) for name, w in weights.items()} | {"other": other / (known + other)}
-    classes: dict[str, float] = {}
+def _concluded(
+    problem: _Problem, fits: dict[str, ModelFit], evidence: dict[str, float], *, seed: int, progress: Progress | None = None
+) -> Attribution:
+    """Fits with what their evidence and the winner's adequacy say."""
+    inquiry = problem.inquiry
+    batch, simulator = inquiry.batch, inquiry.simulator
+    winner = _winner(problem, evidence)
+    if not fits[winner].certificate.converged:
+        fits[winner] = finish(fits[winner], batch, simulator, seed=child(seed, "finish"), progress=progress)
+        evidence[winner] = laplace_evidence(fits[winner])
+    checked = check_evidence(fits, evidence, batch, simulator, seed=child(seed, "evidence"))
+    if checked and all(found.reliable for found in checked.values()):
+        evidence |= {name: found.sampled for name, found in checked.items()}
+        winner = _winner(problem, evidence)
+    left = adequacy_test(fits[winner], inquiry.effects, batch, simulator, seed=child(seed, "adequacy"))
+    size = math.sqrt(max(2.0 * (problem.null.cost - fits[winner].cost), 0.0))
+    like = problem.before.likeness(size, seed=seed)
+    factor, masked = like.bayes_factor(left.test.p_value), problem.masked
+    at_odds = {o: probabilities(evidence, problem.effects, problem.with_, factor, odds=o, masked=masked) for o in ODDS}
+    posterior = at_odds[VERDICT_ODDS]
+    effect = next(e for e in problem.effects if e.name == winner.split("+")[-1])
+    return Attribution(
+        fits,
+        evidence,
+        posterior,
+        _families(posterior, problem.effects),
+        winner,
+        left.test,
+        left.starts,
+        left=left,
+        likeness=like,
+        at_odds=at_odds,
+        alike=_alike(problem, fits, winner, effect, size),
+        checked=checked,
+        rescaled={scale: _rescaled(problem, fits, evidence, factor, scale)[winner] for scale in SCALES},
+    )
+
+
+def _alike(
+    problem: _Problem, fits: Mapping[str, ModelFit], winner: str, effect: Effect, size: float
+) -> dict[str, tuple[float, float]]:
+    """Effects that look like the winner's: by the angle between their directions, or because they fit the data as well."""
+    batch, simulator, values = problem.inquiry.batch, problem.inquiry.simulator, fitted_values(fits[winner], effect)
+    found = problem.before.look_alikes(effect, values, size, problem.null, batch, simulator)
+    for other in problem.effects:
+        name = Hypothesis(problem.inquiry.base, (*problem.with_, other)).name
+        behind = math.sqrt(max(2.0 * (fits[name].cost - fits[winner].cost), 0.0)) if name in fits else math.inf
+        if other.name != effect.name and behind < min(LIKE, size, found.get(other.name, (0.0, math.inf))[1]):
+            found[other.name] = math.degrees(math.asin(behind / size)), behind
+    return dict(sorted(((name, pair) for name, pair in found.items() if pair[0] < _WIDE), key=lambda item: item[1][1]))
+
+
+def _winner(problem: _Problem, evidence: Mapping[str, float]) -> str:
+    return max((name for name in evidence if name != problem.null_name), key=lambda name: evidence[name])
+
+
+def _rescaled(
+    problem: _Problem, fits: Mapping[str, ModelFit], evidence: Mapping[str, float], factor: float, scale: float
+) -> dict[str, float]:
+    """The posterior with the prior scales of all amplitudes multiplied."""
+    best, changed = max(evidence.values()), dict(evidence)
+    for effect in problem.effects:
+        name = Hypothesis(problem.inquiry.base, (*problem.with_, effect)).name
+        if evidence.get(name, -math.inf) > best - _NEGLIGIBLE:
+            changed[name] += rescaled_evidence(fits[name], effect, scale)
+    return probabilities(changed, problem.effects, problem.with_, factor, masked=problem.masked)
+
+
+def _families(posterior: Mapping[str, float], effects: Sequence[Effect]) -> dict[str, float]:
+    """Probability of each family, of none and of other."""
+    families = {effect.name: effect.family for effect in effects}
+    total: dict[str, float] = {}
     for name, probability in posterior.items():
-        family = family_of.get(name, name)
-        classes[family] = classes.get(family, 0.0) + probability
-    return posterior, classes
-
-
-def _odds_of_other(p_adequate: float, *, two: bool) -> float:
-    """Odds of an effect that is not in the library against what is, one or ``two`` of whose effects leave ``p_adequate``."""
-    one_alone, two_at_once = PRIOR_OTHER / (1.0 - PRIOR_OTHER), PRIOR_OTHER * (1.0 - _MASKED) / PRIOR_TWO
-    masked = two_at_once * _MASKED_BY_TWO if two else one_alone * _MASKED
-    p = max(p_adequate, 1e-300)  # may have underflowed
-    bound = -math.e * p * math.log(p) if p < 1.0 / math.e else 1.0
-    return masked / max(bound, 1e-12)
+        family = families.get(name.split("+")[-1], name)
+        total[family] = total.get(family, 0.0) + probability
+    return total

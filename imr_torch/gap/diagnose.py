@@ -5,28 +5,27 @@ without converged fits.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
-from imr_torch.gap.attribute import ADEQUATE, Adequacy, Attribution, Inquiry, adequacy_test, attribute, reconsider
+from imr_torch.gap.adequacy import Adequacy, adequacy_test
+from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
 from imr_torch.gap.hypotheses import Hypothesis, fit_null, laplace_evidence
 from imr_torch.gap.linear import Linearisation
 from imr_torch.gap.score import GapTest
+from imr_torch.gap.verdict import NONE, OTHER, Choice, choose
 from imr_torch.material import LIBRARY, Effect, ModelBelief, library, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, PolytropicSimulator, Simulator, TransportSimulator, with_inner
 from imr_torch.types import Progress
 
-_SURE = 0.8  # probability of one family at which a cause is named alone
-_DOUBT = 0.2  # probability of the base model alone above which no cause is named
-_NO_GAP = 0.5  # that from which on there is no gap
-_SET = 0.95  # probability that the effects of a class reach together
-_LARGEST_CLASS = 3  # effects of different families that still make a verdict
+_NO_GAP = 0.5  # probability of the base model alone from which on there is no gap
+_UNKNOWN = 0.5  # probability of an unknown effect from which on the verdict is "other", once further effects were tried
 _STEPS = 600  # of a polytropic bubble: a relaxation time of .3 us takes 480, most gels 200
 _FURTHER = 3.0  # nats that an effect must explain to count as more than nothing
 
@@ -47,7 +46,8 @@ class GapReport:
         cause: names of the effects that the verdict names.
         seconds: wall time.
         reason: one sentence on how the verdict came about.
-        fits: every hypothesis that was fitted, by name; those far behind the best of their step have not converged.
+        choice: the causes of least expected loss with their probabilities; None where no effect was fitted.
+        steps: attributions in the order of the selection, ``attribution`` among them.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -72,12 +72,21 @@ class GapReport:
     cause: tuple[str, ...]
     seconds: float
     reason: str = field(default="")
-    fits: dict[str, ModelFit] = field(default_factory=dict)
+    choice: Choice | None = None
+    steps: tuple[Attribution, ...] = ()
 
     @property
     def found(self) -> bool:
         """Whether there is a gap: the test at a converged fit rejects, and the evidence of causes agrees."""
         return self.gap.found and self.null.certificate.converged and self.verdict != "none"
+
+    @property
+    def fits(self) -> dict[str, ModelFit]:
+        """Every hypothesis that was fitted, by name; those far behind the best of their step have not converged."""
+        found = {"none": self.null}
+        for step in (*self.steps, *([self.attribution] if self.attribution else [])):
+            found |= step.fits
+        return found
 
     @property
     def converged(self) -> bool:
@@ -138,13 +147,12 @@ def diagnose(
     if progress:
         progress(f"gap test: p = {gap.p_value:.2g}, leading block {gap.blocks[0].name}")
 
-    fits = {"none": null}
     if not null.certificate.converged:
         found = _Finding("undecided", (), f"The base model's fit did not converge: {null.certificate}.")
     elif not gap.found:
         found = _Finding("none", (), "No block of the gap test rejects the base model.")
     else:
-        found = _select(Inquiry(base, effects, batch, simulator), null, base_left, most, fits, seed=seed, progress=progress)
+        found = _select(Inquiry(base, effects, batch, simulator), null, base_left, most, seed=seed, progress=progress)
     return GapReport(
         batch=batch,
         null=null,
@@ -157,7 +165,8 @@ def diagnose(
         cause=found.cause,
         seconds=time.perf_counter() - start,
         reason=found.reason,
-        fits=fits,
+        choice=found.choice,
+        steps=found.steps,
     )
 
 
@@ -185,55 +194,64 @@ class _Finding:
     reason: str
     attribution: Attribution | None = None
     adequacy_p: float | None = None
+    choice: Choice | None = None
+    steps: tuple[Attribution, ...] = ()
 
 
-def _select(
-    inquiry: Inquiry,
-    null: ModelFit,
-    left: Adequacy,
-    most: int,
-    fits: dict[str, ModelFit],
-    *,
-    seed: int,
-    progress: Progress | None,
-) -> _Finding:
-    """Forward selection of effects until the fit is adequate, and the verdict that follows.
+def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed: int, progress: Progress | None) -> _Finding:
+    """Forward selection of effects until an unknown effect is improbable, and the verdict that follows.
 
-    Each round adds the effect of largest evidence beside those chosen. If the gap test at that fit no longer rejects, the
-    effects (or the class that the data do not tell apart) are the cause; if none is adequate, the cause is "other", or
-    undecided where the last fit has not nearly converged. Every fit is put into ``fits``.
+    Each round adds the effect of largest evidence beside those chosen. A first effect that the second does not need is dropped.
+    Where an unknown effect stays more probable than not, the verdict is "other", or undecided where the last fit has not nearly
+    converged.
     """
     chosen: tuple[Effect, ...] = ()
-    fit, test, starts = null, left.test, left.starts
-    first: Attribution | None = None
-    families = {effect.name: effect.family for effect in inquiry.effects}
+    fit, before, masked = null, left, 1.0
+    steps: tuple[Attribution, ...] = ()
     while len(chosen) < most and inquiry.beside(chosen):
         own = child(seed, "attribute", len(chosen))
-        found = attribute(inquiry, fit, starts, seed=own, with_=chosen, progress=progress)
-        fits |= found.fits
+        found = attribute(inquiry, fit, seed=own, with_=chosen, before=before, masked=masked, progress=progress)
         gained = found.log_evidence[found.winner] - found.log_evidence[Hypothesis(inquiry.base, chosen).name]
         if chosen and gained < _FURTHER:
             break
-        if first is None and found.posterior["none"] >= _NO_GAP:
-            return _not_confirmed(found, left.test)
-        first, further = first or found, bool(chosen)
+        choice, steps, held = choose(found.posterior), (*steps, found), chosen
+        if not held and found.posterior[NONE] >= _NO_GAP:
+            return replace(_not_confirmed(found, left.test), choice=choice, steps=steps)
         chosen = (*chosen, next(e for e in inquiry.effects if e.name == found.winner.split("+")[-1]))
-        fit, starts, test = found.fits[found.winner], found.next_starts, found.adequacy
-        if test.p_value < ADEQUATE:
-            continue
-        if further:
-            alone = reconsider(inquiry, first, chosen[-1], fit, seed=child(seed, "reconsider"))
-            if alone.adequacy.p_value >= ADEQUATE:
-                return _name(chosen[-1:], alone, families)
-        return _name(chosen, found, families)
-    assert first is not None
+        fit = found.fits[found.winner]
+        if found.posterior[OTHER] <= _UNKNOWN:
+            return replace(_without_first(inquiry, left, steps, chosen, seed) or _name(held, found, choice), steps=steps)
+        before, masked = found.left or before, masked * (1.0 - found.likeness.chance if found.likeness else 1.0)
+    return replace(_unexplained(null, left, chosen, fit, steps), steps=steps)
+
+
+def _without_first(
+    inquiry: Inquiry, left: Adequacy, steps: Sequence[Attribution], chosen: tuple[Effect, ...], seed: int
+) -> _Finding | None:
+    """The verdict on the last effect alone, where that explains the data without those selected before it."""
+    if len(chosen) < 2:
+        return None
+    beside = steps[-1].fits[steps[-1].winner]
+    alone = reconsider(inquiry, steps[0], chosen[-1], beside, seed=child(seed, "reconsider"), before=left)
+    choice = choose(alone.posterior)
+    if alone is steps[0] or choice.leader == NONE or alone.posterior[OTHER] > _UNKNOWN:
+        return None
+    return _name((), alone, choice)
+
+
+def _unexplained(
+    null: ModelFit, left: Adequacy, chosen: Sequence[Effect], fit: ModelFit, steps: Sequence[Attribution]
+) -> _Finding:
+    """The verdict where an unknown effect stays more probable than not."""
+    first, last = steps[0], steps[-1]
+    test, choice = last.adequacy, choose(last.posterior)
     nearest, explained = " and ".join(effect.name for effect in chosen), laplace_evidence(fit) - laplace_evidence(null)
     if not fit.certificate.nearly_converged:  # a nearly converged fit would not become adequate by converging further
         reason = (
             f"No effect of the library was found to be enough, but the fit with {nearest} did not converge "
             f"({explained:.0f} nats better than the base; adequacy p = {test.p_value:.2g}), which may be why."
         )
-        return _Finding("undecided", (), reason, first, test.p_value)
+        return _Finding("undecided", (), reason, first, test.p_value, choice)
     if explained < _FURTHER:
         reason = f"No effect of the library explains any of it (adequacy p = {test.p_value:.2g})."
     else:
@@ -242,42 +260,31 @@ def _select(
             f"No effect of the library is enough; nearest comes {nearest} "
             f"({explained:.0f} nats; {misfit}; adequacy p = {test.p_value:.2g})."
         )
-    return _Finding("other", (), reason, first, test.p_value)
+    return _Finding(OTHER, (), reason, first, test.p_value, choice)
 
 
 def _not_confirmed(found: Attribution, test: GapTest) -> _Finding:
     """Verdict "none" although the test rejects: it does so by chance at its level, and then no effect explains much."""
     reason = (
         f"A test rejects the base model (p = {test.p_value:.2g}), but no effect of the library explains enough: the base model "
-        f"alone keeps a probability of {found.posterior['none']:.2f}."
+        f"alone keeps a probability of {found.posterior[NONE]:.2f}."
     )
-    return _Finding("none", (), reason, found)
+    return _Finding(NONE, (), reason, found)
 
 
-def _name(chosen: tuple[Effect, ...], found: Attribution, families: Mapping[str, str]) -> _Finding:
-    """The verdict on an adequate cause: one effect if it is probable enough, else the class that the data do not tell apart."""
-    before, adequacy = tuple(effect.name for effect in chosen[:-1]), found.adequacy.p_value
+def _name(held: Sequence[Effect], found: Attribution, choice: Choice) -> _Finding:
+    """The verdict on a known cause: the effects of the set of least expected loss, beside those that every hypothesis holds."""
+    before, adequacy = tuple(effect.name for effect in held), found.adequacy.p_value
+    causes = (*before, *(name.split("+")[-1] for name in choice.causes))
+    finding = _Finding("undecided", causes, "", found, adequacy, choice)
     if not found.fits[found.winner].certificate.converged:
-        return _Finding("undecided", (*before, chosen[-1].name), "The leading effect's fit did not converge.", found, adequacy)
-    known = {name: found.posterior[name] for name in found.posterior if name not in ("none", "other")}
-    total = sum(known.values())
-    share = {name.split("+")[-1]: p / total for name, p in sorted(known.items(), key=lambda item: -item[1])}
-    family = {name: p for name, p in share.items() if families[name] == chosen[-1].family}
-    doubt = found.posterior["none"] if not before else 0.0
-    if doubt > _DOUBT:
-        reason = f"The base model alone keeps a probability of {doubt:.2f}: too much to name a cause."
-        return _Finding("undecided", tuple(family), reason, found, adequacy)
-    if sum(family.values()) >= _SURE:
-        same = tuple(name for name, p in family.items() if p > 0.05)
-        verdict = "effect" if len(same) == 1 else "class"
-        reason = f"Adequate (p = {adequacy:.2g}), and the others are improbable."
-        return _Finding(verdict, before + same, reason, found, adequacy)
-    likely, reached = [], 0.0
-    for name, p in share.items():
-        likely.append(name)
-        reached += p
-        if reached >= _SET:
-            break
-    verdict = "class" if len(likely) <= _LARGEST_CLASS else "undecided"
-    reason = "These effects explain the data about equally well."
-    return _Finding(verdict, before + tuple(likely), reason, found, adequacy)
+        return replace(finding, reason="The leading effect's fit did not converge.")
+    if NONE in choice.members:
+        without = f"{' and '.join(before)} alone" if before else "The base model alone"
+        reason = f"{without} keeps a probability of {choice.members[NONE]:.2f}: too much to name a cause."
+        return replace(finding, reason=reason)
+    if not choice.decided:
+        return replace(finding, reason="The probability is spread over too many effects to name a cause.")
+    if len(choice.causes) == 1:
+        return replace(finding, verdict="effect", reason=f"Adequate (p = {adequacy:.2g}), and the others are improbable.")
+    return replace(finding, verdict="class", reason="These effects explain the data about equally well.")

@@ -6,11 +6,23 @@ from typing import Any
 from torch import Tensor
 
 from imr_torch.assimilate.dense import dense_curve
+from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.ladder import Rung
+from imr_torch.gap.lookalike import Likeness
 from imr_torch.gap.parts import Parts
-from imr_torch.gap.report import all_parameters, cause_values, fit_of_cause, headline, next_step, parameter_shift, parameters
+from imr_torch.gap.report import (
+    all_parameters,
+    cause_values,
+    fit_of_cause,
+    headline,
+    next_step,
+    odds_text,
+    parameter_shift,
+    parameters,
+)
+from imr_torch.gap.verdict import VERDICT_ODDS
 from imr_torch.simulate import Simulator
 
 
@@ -39,11 +51,20 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         "gap": report.found,
         "p_gap": report.gap.p_value,
         "bias_sigma": report.gap.bias_sigma,
-        "onset_t": None if when is None or when.phase == "none" else when.time,
-        "onset_phase": None if when is None else when.phase,
+        "first_detected_t": None if when is None or when.phase == "none" else when.time,
+        "first_detected_phase": None if when is None else when.phase,
+        "acts": None if parts.acts is None else {phase: list(values) for phase, values in parts.acts.shares.items()},
         "verdict": report.verdict,
         "cause": list(report.cause),
+        "members": None if report.choice is None else report.choice.members,
+        "expected_loss": None if report.choice is None else report.choice.loss,
         "posterior": None if found is None else found.posterior,
+        "posterior_at_odds": None if found is None else {odds_text(odds): own for odds, own in found.at_odds.items()},
+        "verdict_odds": odds_text(VERDICT_ODDS),
+        "unknown": None if found is None or found.likeness is None else _unknown(found, found.likeness),
+        "look_alikes": None if found is None else _look_alikes(found),
+        "evidence_checks": None if found is None else {name: vars(own) for name, own in found.checked.items()},
+        "prior_scales": None if found is None else {f"{scale:g}": p for scale, p in found.rescaled.items()},
         "credible_set": None if found is None else list(found.credible_set()),
         "adequacy_p": report.adequacy_p,
         "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
@@ -60,8 +81,31 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         "next_step": next_step(report, parts),
         "next_design": None if ahead is None else _design(ahead),
         "converged": report.converged,
+        "certificates": certificates(report),
         "seconds": report.seconds,
     }
+
+
+def _unknown(found: Attribution, like: Likeness) -> dict[str, float]:
+    """What an unknown effect of the size found would look like."""
+    return {
+        "size_sd": like.size,
+        "chance_look_alike": like.chance,
+        "standard_error": like.error,
+        "bayes_factor": like.bayes_factor(found.adequacy.p_value),
+    }
+
+
+def _look_alikes(found: Attribution) -> dict[str, dict[str, float]]:
+    return {name: {"angle_deg": angle, "leaves_sd": left} for name, (angle, left) in found.alike.items()}
+
+
+def certificates(report: GapReport) -> dict[str, dict[str, Any]]:
+    """The certificate of the base model's fit and of the leading fit of every step of the selection."""
+    fits = {"none": report.null} | {step.winner: step.fits[step.winner] for step in report.steps}
+    if report.attribution is not None:
+        fits[report.attribution.winner] = report.attribution.fits[report.attribution.winner]
+    return {name: vars(fit.certificate) for name, fit in fits.items()}
 
 
 def curves_of(report: GapReport, simulator: Simulator | None = None) -> list[dict[str, Any]]:

@@ -14,10 +14,11 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, SearchOptions
-from imr_torch.gap.attribute import ADEQUATE, Adequacy, Inquiry, adequacy_test
+from imr_torch.gap.adequacy import Adequacy, adequacy_test
+from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence
 from imr_torch.gap.locate import PHASES, phase_clock, phase_name
-from imr_torch.gap.score import GapTest
+from imr_torch.gap.score import ADEQUATE, GapTest
 from imr_torch.gap.shrinkage import HeldOut, compare, reductions
 from imr_torch.material import PARAMETERS, Effect
 from imr_torch.observe import ExperimentBatch

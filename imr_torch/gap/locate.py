@@ -1,10 +1,11 @@
-"""Location of the gap: when in the event it begins, and in which experiments.
+"""Location of the gap: from when in the event on it can be detected, and in which experiments.
 
-*When*: refit on the frames up to a moment and test; the first moment that rejects is the onset, because frames before an effect
-acts are free of it, whereas the residual of a fit to all frames is spread over them by the fit. *Which*: the same test on one
-design at a time, and the drift of the parameters over designs: a trend in We (which fixes the size and so the rate) points to
-rate or size, one in R_inf* to stretch or gas, none to what is alike everywhere. Refits are linear about the fit
-(:mod:`imr_torch.gap.restrict`).
+*When*: refit on the frames up to a moment and test; frames before an effect acts are free of it, whereas the residual of a
+fit to all frames is spread over them by the fit. The first moment that rejects is the first at which the gap can be detected:
+it comes earlier with more repeats, and no earlier than the effect acts (where that is: :mod:`imr_torch.gap.acts`). *Which*:
+the same test on one design at a time, and the drift of the parameters over designs: a trend in We (which fixes the size and
+so the rate) points to rate or size, one in R_inf* to stretch or gas, none to what is alike everywhere. Refits are linear
+about the fit (:mod:`imr_torch.gap.restrict`).
 """
 
 import math
@@ -68,7 +69,7 @@ def phase_name(clock: float) -> str:
 
 @dataclass(frozen=True)
 class Onset:
-    """When the gap begins.
+    """The first time at which the gap can be detected with these data; it comes earlier with more repeats.
 
     Args:
         time: dimensionless time of the last frame of the first prefix that rejects, median over experiments; NaN if none does.
@@ -87,7 +88,10 @@ class Onset:
     def __str__(self) -> str:
         if self.phase == "none":
             return f"No prefix of the records rejects the model (smallest p = {min(self.p_values):.2g})."
-        return f"The gap begins in the {self.phase}: records up to t* = {self.time:.2f} already reject the model."
+        return (
+            f"The gap can first be detected in the {self.phase}: records up to t* = {self.time:.2f} already reject the model "
+            "(earlier ones would with more repeats)."
+        )
 
 
 def generic_directions(fit: ModelFit, line: Linearisation, batch: ExperimentBatch, simulator: Simulator) -> dict[str, Tensor]:

@@ -137,8 +137,11 @@ def _pictures(report: GapReport, parts: Parts, simulator: Simulator | None) -> l
         ),
     ]
     if (when := parts.onset) is not None:
-        caption = "Refits to the frames up to each moment: the first that rejects the model is the onset."
+        caption = "Refits to the frames up to each moment: the first that rejects the model is the first detection."
         made.append(_picture(where, caption, f"Line chart. {when}", lambda: plots.plot_onset(when)))
+    if (acts := parts.acts) is not None:
+        caption = "Share of the signal of the named effects by phase, with its 90 % interval."
+        made.append(_picture(where, caption, f"Bar chart. {acts}", lambda: plots.plot_acts(acts)))
     if (windows := parts.windows) is not None:
         caption = "Parameters fitted to a moving window, with one standard deviation."
         alt = "Line charts of the apparent parameters over the event."

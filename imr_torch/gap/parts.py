@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imr_torch.errors import ConvergenceError
+from imr_torch.gap.acts import WhereItActs, where_it_acts
 from imr_torch.gap.attribute import Attribution, Inquiry
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import Hypothesis
@@ -32,7 +33,8 @@ class Parts:
     """Parts beside the verdict; None where one was not run.
 
     Args:
-        onset: when the gap begins.
+        onset: from when on the gap can be detected.
+        acts: where the named effects act.
         by_experiment: which experiments it lies in.
         latent: the pressure that would explain it.
         windows: apparent parameters over the event.
@@ -54,6 +56,7 @@ class Parts:
     ladder: Ladder | None = None
     next_design: NextDesign | None = None
     scatter: GelScatter | None = None
+    acts: WhereItActs | None = None
 
 
 def examine(
@@ -103,7 +106,17 @@ def examine(
         ladder=ladder,
         next_design=_next(report, simulator, seed, progress),
         scatter=gel_scatter(report, simulator, seed=child(seed, "scatter")),
+        acts=_acts(report, simulator, seed),
     )
+
+
+def _acts(report: GapReport, simulator: Simulator, seed: int) -> WhereItActs | None:
+    """Where the named effects act; None without a named cause."""
+    found, choice = report.attribution, report.choice
+    if found is None or choice is None or report.verdict not in ("effect", "class"):
+        return None
+    named = {name: (found.fits[name], _hypothesis(report, name).effects, choice.members[name]) for name in choice.causes}
+    return where_it_acts(named, report.line, report.batch, simulator, seed=child(seed, "acts"))
 
 
 def _closed(
@@ -126,7 +139,7 @@ def _closed(
     names, found = ["none"], report.attribution
     rival = None
     if found is not None and report.verdict in ("effect", "class"):
-        rival = _best_rival(found)
+        rival = _best_rival(report, found)
         names += [found.winner, *([rival] if rival else [])]
     fits = {name: report.fits[name] for name in names} | {rung.name: rung.fit for rung in ladder.rungs}
     apart = ExperimentBatch(tuple(unseen), report.batch.noise) if unseen else None
@@ -157,10 +170,12 @@ def _hypothesis(report: GapReport, name: str) -> Hypothesis:
     return Hypothesis(report.null.prior, tuple(LIBRARY[effect] for effect in name.split("+")))
 
 
-def _best_rival(found: Attribution) -> str | None:
-    """The refitted hypothesis of largest evidence that is as long as the winner and of another class."""
-    own, last = LIBRARY[found.winner.split("+")[-1]].family, found.winner.count("+")
+def _best_rival(report: GapReport, found: Attribution) -> str | None:
+    """The refitted hypothesis of largest evidence that is as long as the winner and not in the class that the verdict names."""
+    last, own = found.winner.count("+"), {LIBRARY[name].family for name in report.cause}
     others = [
-        name for name in found.fits if name != "none" and name.count("+") == last and LIBRARY[name.split("+")[-1]].family != own
+        name
+        for name in found.fits
+        if name != "none" and name.count("+") == last and LIBRARY[name.split("+")[-1]].family not in own
     ]
     return max(others, key=found.log_evidence.__getitem__, default=None)

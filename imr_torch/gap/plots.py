@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: residuals, tests, onset, latent pressure, causes, and fits without and with the cause.
+"""Figures of a diagnosis: residuals, tests, first detection, latent pressure, causes, and fits without and with the cause.
 
 Every ``plot_*`` draws into ``ax`` (a new figure when None) and returns the axes; nothing is shown or saved here. Colours are
 told apart by colour-blind readers, and what matters is also written.
@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.gap.acts import WhereItActs
 from imr_torch.gap.ladder import Ladder, Rung
 from imr_torch.gap.latent import LatentPressure
 from imr_torch.gap.locate import PHASES, Onset, phase_clock, phase_name
@@ -104,16 +105,27 @@ def _labelled(block: BlockResult) -> str:
 
 
 def plot_onset(found: Onset, *, ax: Axes | None = None) -> Axes:
-    """P-value of a refit to the frames up to each moment; the first below the level is the onset."""
+    """P-value of a refit to the frames up to each moment; the first below the level is the first detection."""
     ax = _axes(ax)
     strength = [_strength(p) for p in found.p_values]
     ax.plot(found.times, strength, "o-", color=AFTER, ms=4)
     ax.axhline(-math.log10(found.level), color=DATA, ls="--", lw=1, label=f"{100 * found.level:g} % over the whole event")
     if found.phase != "none":
-        ax.axvline(found.time, color=ALARM, lw=1.5, label=f"onset: {found.phase}, t* = {found.time:.2f}")
+        ax.axvline(found.time, color=ALARM, lw=1.5, label=f"first detected: {found.phase}, t* = {found.time:.2f}")
     ax.set_yscale("symlog", linthresh=_LINEAR)
     ax.set(xlabel="frames up to $t^*$", ylabel="$-\\log_{10} p$", ylim=(0.0, 2.0 * max(*strength, _LINEAR)))
     ax.legend(frameon=False, fontsize=8)
+    return ax
+
+
+def plot_acts(found: WhereItActs, *, ax: Axes | None = None) -> Axes:
+    """Share of the signal of the named effects by phase, with its 90 % interval."""
+    ax = _axes(ax, (5.2, 2.6))
+    low, middle, high = torch.tensor(list(found.shares.values()), dtype=torch.float64).mT
+    ax.bar(range(len(middle)), middle, color=AFTER, width=0.6)
+    ax.errorbar(range(len(middle)), middle, yerr=torch.stack((middle - low, high - middle)), fmt="none", color=DATA, capsize=3)
+    ax.set_xticks(range(len(middle)), [phase.replace(" ", "\n") for phase in found.shares], fontsize=8)
+    ax.set(ylabel="share of the signal", ylim=(0.0, 1.0))
     return ax
 
 

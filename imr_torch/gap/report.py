@@ -13,10 +13,11 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.attribute import ADEQUATE
+from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.parts import Parts
-from imr_torch.gap.score import LEVEL, BlockResult
+from imr_torch.gap.score import ADEQUATE, LEVEL, BlockResult
+from imr_torch.gap.verdict import OTHER, VERDICT_ODDS
 from imr_torch.material import LIBRARY, PARAMETERS
 
 _LEVELS = (0.05, 0.5, 0.95)
@@ -145,15 +146,31 @@ def next_step(report: GapReport, parts: Parts | None = None) -> str:
 def headline(report: GapReport) -> str:
     """The verdict in one sentence."""
     names = [f"{name} ({LIBRARY[name].meaning})" if name in LIBRARY else name for name in report.cause]
+    unknown = _or_unknown(report)
     if report.verdict == "none":
         return "No gap was found: the base model describes these data within their noise."
     if report.verdict == "other":
         return "There is a gap, and no effect of the library that was offered explains it."
     if report.verdict == "effect":
-        return f"There is a gap, and its cause is {' together with '.join(names)}."
+        return f"There is a gap, and its cause is {' together with '.join(names)}{unknown}."
     if report.verdict == "class":
-        return f"There is a gap, and its cause is among these, which the data do not tell apart: {', '.join(names)}."
+        shares = [f"{text}{_share_of(report, name)}" for text, name in zip(names, report.cause, strict=True)]
+        return f"There is a gap, and its cause is among these, which the data do not tell apart: {', '.join(shares)}{unknown}."
     return "Undecided." + (f" Leading candidates: {', '.join(names)}." if names else "")
+
+
+def _or_unknown(report: GapReport) -> str:
+    """What is said of an unknown effect beside named ones, where it is a member of the verdict."""
+    if report.choice is None or OTHER not in report.choice.members:
+        return ""
+    return f", or an unknown effect that looks like it (probability {report.choice.members[OTHER]:.2f})"
+
+
+def _share_of(report: GapReport, name: str) -> str:
+    """The probability of a member of a class; none for an effect that acts beside all of them."""
+    members = report.choice.members if report.choice else {}
+    own = [p for member, p in members.items() if member.split("+")[-1] == name]
+    return f" with probability {own[0]:.2f}" if own else ""
 
 
 def _gap(report: GapReport) -> tuple[str, ...]:
@@ -215,6 +232,8 @@ def _where(report: GapReport, parts: Parts) -> tuple[str, ...]:
     lines = []
     if parts.onset is not None:
         lines.append(str(parts.onset))
+    if parts.acts is not None:
+        lines.append(str(parts.acts))
     if parts.by_experiment is not None:
         which = parts.by_experiment
         loud = [f"{label} ({_p(p)})" for label, p in zip(which.labels, which.p_values, strict=True) if p < LEVEL]
@@ -246,16 +265,51 @@ def _causes(report: GapReport) -> tuple[str, ...]:
             if report.verdict == "none"
             else "Not tested, because the base model's fit did not converge.",
         )
-    ranked = sorted(found.posterior.items(), key=lambda item: -item[1])[:_CAUSES]
     lines = [
-        "Probabilities: " + ", ".join(f"{name} {p:.3f}" for name, p in ranked) + ".",
+        *_probabilities(found),
         f"95 % credible set: {', '.join(found.credible_set())}.",
         f"Adequacy of {found.winner}: {_p(found.adequacy.p_value)}"
-        + (", so it is enough." if found.adequacy.p_value >= ADEQUATE else ", so something else is still missing."),
+        + (", so it is enough." if found.adequacy.p_value >= ADEQUATE else ", so something else may still be missing."),
     ]
-    alike = [f"{name}: {LIBRARY[name].confused}" for name in report.cause if name in LIBRARY and LIBRARY[name].confused]
-    lines += [f"What looks most alike: {text}." for text in alike]
-    return tuple(lines)
+    if (like := found.likeness) is not None:
+        lines.append(
+            f"The chance that an unknown effect of this size ({like.size:.1f} sd) looks like a known one at these designs is "
+            f"{like.chance:.2f} +- {like.error:.2f}; it is in the probability of other."
+        )
+    if found.alike:
+        alike = [f"{name} ({angle:.0f} degrees, leaves {left:.1f} sd)" for name, (angle, left) in found.alike.items()]
+        lines.append(f"What looks most like {found.winner.split('+')[-1]} here: {', '.join(alike[:_CAUSES])}.")
+    return (*lines, *_checks(found))
+
+
+def odds_text(odds: float) -> str:
+    """Prior odds in words: ``"1:9"``, ``"1:1"``."""
+    return f"1:{1.0 / odds:g}" if odds <= 1.0 else f"{odds:g}:1"
+
+
+def _probabilities(found: Attribution) -> list[str]:
+    """The most probable causes at each of the prior odds of an unknown effect."""
+    lines = []
+    for odds, own in (found.at_odds or {VERDICT_ODDS: found.posterior}).items():
+        ranked = sorted(own.items(), key=lambda item: -item[1])[:_CAUSES]
+        basis = ", on which the verdict is based" if odds == VERDICT_ODDS else ""
+        said = ", ".join(f"{name} {p:.3f}" for name, p in ranked)
+        lines.append(f"Probabilities at prior odds {odds_text(odds)} of an unknown effect{basis}: {said}.")
+    return lines
+
+
+def _checks(found: Attribution) -> list[str]:
+    """How far the probabilities depend on the Gaussian approximation and on prior scales."""
+    lines = []
+    if found.checked:
+        said = [f"{n} {c.sampled - c.laplace:+.1f} +- {c.error:.1f} nats" for n, c in found.checked.items()]
+        unused = [name for name, own in found.checked.items() if not own.reliable]
+        used = f"not used, since the weights of {', '.join(unused)} are too uneven" if unused else "used"
+        lines.append(f"Evidence by importance sampling less that of the Gaussian approximation ({used}): {', '.join(said)}.")
+    if found.rescaled:
+        said = [f"{p:.3f} with {scale:g} times the prior scales" for scale, p in found.rescaled.items()]
+        lines.append(f"Probability of {found.winner}: {found.posterior.get(found.winner, 0.0):.3f}; {', '.join(said)}.")
+    return lines
 
 
 def _scatter(parts: Parts) -> tuple[str, ...]:
@@ -377,16 +431,19 @@ def _not_tested(report: GapReport, parts: Parts) -> tuple[str, ...]:
     if report.found and parts.shrinkage is None:
         lines.append("How far the gap shrinks on new designs: no shrinkage on held-out designs was computed.")
     if report.found and parts.onset is None:
-        lines.append("When the gap begins: the location was not run.")
+        lines.append("From when on the gap can be detected: the location was not run.")
     return tuple(lines)
 
 
 def _certificates(report: GapReport) -> tuple[str, ...]:
     lines = [f"Base model: {report.null.certificate}."]
-    if report.attribution is not None:
-        fits = report.attribution.fits
-        lines.append(f"{report.attribution.winner}: {fits[report.attribution.winner].certificate}.")
-        loose = [name for name, fit in fits.items() if not fit.certificate.converged and name != report.attribution.winner]
+    found = report.attribution
+    leading = {step.winner: step.fits[step.winner] for step in report.steps}
+    if found is not None:
+        leading |= {found.winner: found.fits[found.winner]}
+    lines += [f"{name}: {fit.certificate}." for name, fit in leading.items()]
+    if found is not None:
+        loose = [name for name, fit in found.fits.items() if not fit.certificate.converged and name != found.winner]
         if loose:
             lines.append(
                 f"Other causes whose fits did not converge, so that their probabilities are lower bounds: {', '.join(loose)}."

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import torch
 
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
-from imr_torch.gap.attribute import ADEQUATE, adequacy_test
+from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import laplace_evidence
+from imr_torch.gap.score import ADEQUATE
 from imr_torch.material import LIBRARY, Belief, Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.population import SCALE, GaussianShots, coordinate_units

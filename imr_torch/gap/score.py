@@ -24,6 +24,8 @@ from imr_torch.simulate import Simulator
 
 LEVEL = 0.04
 """Chance of a gap being found where there is none."""
+ADEQUATE = 0.05
+"""P-value of the test at a fit with effects from which on that fit is adequate: the right effects fail it once in twenty."""
 
 _RANK = 1e-3  # singular values below this part of the largest add no direction
 _BOOTSTRAP = 2000
@@ -146,7 +148,12 @@ def block(name: str, rows: Tensor, line: Linearisation) -> Block:
 
 
 def generic_blocks(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation) -> list[Block]:
-    """Blocks that stand for no effect in particular: a law of the state, pulses, drifting parameters, distorted output."""
+    """Blocks that stand for no effect in particular (:func:`generic_rows`)."""
+    return [block(name, rows, line) for name, rows in generic_rows(fit, batch, simulator, line).items()]
+
+
+def generic_rows(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation) -> dict[str, Tensor]:
+    """Whitened rows that stand for no effect: a law of the state, pulses, drifting parameters, distorted output."""
     experiments, times = len(batch.experiments), batch.times
     last = float(times[batch.mask].max())
     changes = [*pulse_changes(batch).values(), *({name: step} for name, step in _LAWS)]
@@ -155,18 +162,18 @@ def generic_blocks(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, 
     data = line.fitted.shape[0] - line.fitted.shape[1]
     gel = torch.nn.functional.pad(line.fitted[:data, : len(fit.mean)].mT, (0, line.fitted.shape[1]))
     early = torch.nn.functional.pad((times < 0.5 * last).flatten().to(gel), (0, line.fitted.shape[1]))
-    blocks = [
-        block(STATE_LAW, laws, line),
-        block("pulses common to all experiments", pulses, line),
-        block("parameters early against late", gel * early, line),
-        block("shape of the output", shape_rows(line), line),
-    ]
+    found = {
+        STATE_LAW: laws,
+        "pulses common to all experiments": pulses,
+        "parameters early against late": gel * early,
+        "shape of the output": shape_rows(line),
+    }
     if experiments > 1:
         masks = torch.eye(experiments, dtype=torch.float64)[:, :, None].expand(-1, -1, times.shape[1]).flatten(1)
         masks = torch.nn.functional.pad(masks, (0, line.fitted.shape[1]))
-        blocks.append(block("parameters between designs", (masks[:, None] * gel).flatten(0, 1), line))
-        blocks.append(block("pulses in single experiments", (masks[:, None] * pulses).flatten(0, 1), line))
-    return blocks
+        found["parameters between designs"] = (masks[:, None] * gel).flatten(0, 1)
+        found["pulses in single experiments"] = (masks[:, None] * pulses).flatten(0, 1)
+    return found
 
 
 def pulse_changes(batch: ExperimentBatch) -> dict[float, dict[str, float]]:
@@ -200,7 +207,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     rows = torch.cat((line.residual[None], drawn))
     ranks = [b.directions.shape[1] for b in tested] + [freedom]
     statistics = [(rows @ b.directions).square().sum(1) for b in tested] + [rows.square().sum(1)]
-    logs = torch.stack([_log_survival(s, k) for s, k in zip(statistics, ranks, strict=True)])
+    logs = torch.stack([log_survival(s, k) for s, k in zip(statistics, ranks, strict=True)])
     smallest = logs.amin(0)
     count = int((smallest[1:] <= smallest[0]).sum())
     bonferroni = min(1.0, len(ranks) * math.exp(float(smallest[0])))
@@ -227,7 +234,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     return GapTest(p_value, tuple(sorted(results, key=lambda r: r.p_value)), *_bias(line))
 
 
-def _log_survival(statistic: Tensor, rank: int) -> Tensor:
+def log_survival(statistic: Tensor, rank: int) -> Tensor:
     """Log of the upper tail of chi-square."""
     tail = torch.special.gammaincc(torch.tensor(0.5 * rank, dtype=torch.float64), 0.5 * statistic)
     # far out the leading term of the asymptotic series keeps the order of the blocks

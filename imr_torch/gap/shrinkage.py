@@ -48,6 +48,8 @@ class HeldOut:
         square: sum of the squared predictive residuals; chi-square with as many degrees of freedom as frames.
         counts: ``n_t`` tensor, curves behind each frame of the mean.
         converged: whether the training fit did.
+        by_training: ``n_t x d`` tensor, change of the prediction by one standard deviation of each direction of the training
+            fit's posterior; it is what other training data would have given.
     """
 
     residual: Tensor
@@ -56,6 +58,7 @@ class HeldOut:
     square: float
     counts: Tensor
     converged: bool
+    by_training: Tensor
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class Comparison:
     Args:
         against: the other hypothesis.
         difference: nats; positive if the effect predicts better.
-        standard_error: from the scatter over frames, each given those before it.
+        standard_error: from the scatter over frames, each given those before it: of these held-out curves.
     """
 
     against: str
@@ -97,8 +100,8 @@ class Shrinkage:
 
     Args:
         gap: hypothesis -> held-out ``D``, squared bias in single-shot variances.
-        shrinkage: hypothesis (effect, then rival) -> lower, median and upper value of ``S``, 90 % interval, of these training
-            fits under new noise of the held-out curves; what other training data would have given is not in it.
+        shrinkage: hypothesis (effect, then rival) -> lower, median and upper value of ``S``, 90 % interval, under new noise of
+            the held-out curves, other training data, and other designs.
         comparisons: the effect against the base and the rival.
         shift: parameter of the base -> how far it moves.
         adequacy_p: p-value of the held-out curves under the effect's prediction.
@@ -318,7 +321,7 @@ def held_out(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Hel
     log_scale = chol.diagonal().log() + line.sd[0].log() - 0.5 * (counts / (2.0 * math.pi)).log()
     density = -0.5 * innovation.square() - log_scale
     square, sound = float(innovation.square().sum()), fit.certificate.converged
-    return HeldOut(residual, slopes[:, size:], density, square, counts, sound)
+    return HeldOut(residual, slopes[:, size:], density, square, counts, sound, slopes[:, :size] @ fit.chol)
 
 
 def reductions(
@@ -326,25 +329,54 @@ def reductions(
 ) -> tuple[dict[str, float], dict[str, tuple[float, float, float]]]:
     """``D`` of each hypothesis, and the 90 % interval of ``S`` of all but the base.
 
-    The bias found, scaled to the size that is left of it without noise, is taken as true; noise is drawn anew, the same for
-    every hypothesis, and passed through the fit of the nuisances.
+    The bias found, scaled to the size that is left of it without noise and without the variance of the training fit, is taken
+    as true. Noise is drawn anew, the same for every hypothesis, and passed through the fit of the nuisances; so is what other
+    training data would have changed, the same for all designs of a draw. Designs are drawn anew too, since it is they
+    that are exchangeable, not frames.
     """
     source = generator(child(seed, "bootstrap"))
+    count = sum(len(d.residual) for d in held[_NONE])
     noise = [torch.randn(_BOOTSTRAP, len(d.residual), generator=source, dtype=torch.float64) for d in held[_NONE]]
+    weights = _design_weights(len(noise), source)
     gaps, drawn = {}, {}
     for name, designs in held.items():
-        count = sum(len(d.residual) for d in designs)
-        expected = sum(_expected(d) for d in designs) / count
-        observed = sum(float((d.residual.square() / d.counts).sum()) for d in designs) / count
-        gaps[name] = observed - expected
-        scale = math.sqrt(max(gaps[name], 0.0) / observed)
+        expected = [_expected(d) / count for d in designs]
+        observed = [float((d.residual.square() / d.counts).sum()) / count for d in designs]
+        gaps[name] = sum(observed) - sum(expected)
+        trained = [float((_less_nuisances(d, d.by_training.mT).square() / d.counts).sum()) / count for d in designs]
+        scales = _scales(observed, expected, trained)
+        training = torch.randn(_BOOTSTRAP, designs[0].by_training.shape[1], generator=source, dtype=torch.float64)
         rows = [
-            ((scale * d.residual + _less_nuisances(d, e)).square() / d.counts).sum(1)
-            for d, e in zip(designs, noise, strict=True)
+            ((scale * d.residual + _less_nuisances(d, e + training @ d.by_training.mT)).square() / d.counts).sum(1) / count
+            - left
+            for d, e, left, scale in zip(designs, noise, expected, scales, strict=True)
         ]
-        drawn[name] = torch.stack(rows).sum(0) / count - expected
+        drawn[name] = (torch.stack(rows, 1) * weights).sum(1)
     intervals = {name: _ratio_interval(drawn[name], drawn[_NONE]) for name in held if name != _NONE}
     return gaps, intervals
+
+
+def _scales(observed: Sequence[float], expected: Sequence[float], trained: Sequence[float]) -> list[float]:
+    """Factors on the residual of each design that leave its bias alone, without noise and the variance of the training fit.
+
+    Designs whose square is below that of noise have none; the others share what is left of the whole.
+    """
+    own = [max(o - e - t, 0.0) for o, e, t in zip(observed, expected, trained, strict=True)]
+    whole = max(sum(observed) - sum(expected) - sum(trained), 0.0)
+    share = whole / sum(own) if whole else 0.0
+    return [math.sqrt(share * part / total) for part, total in zip(own, observed, strict=True)]
+
+
+def _design_weights(count: int, source: torch.Generator) -> Tensor:
+    """``B x count`` random weights of mean one, under which a mean over designs has the variance of a sample mean.
+
+    One design fewer than there are is drawn with replacement (Rao & Wu, J. Am. Stat. Assoc. 83, 1988).
+    """
+    if count == 1:
+        return torch.ones(_BOOTSTRAP, 1, dtype=torch.float64)
+    picked = torch.randint(count, (_BOOTSTRAP, count - 1), generator=source)
+    times = torch.nn.functional.one_hot(picked, count).sum(1).to(torch.float64)
+    return times * count / (count - 1)
 
 
 def _ratio_interval(left: Tensor, base: Tensor) -> tuple[float, float, float]:

@@ -35,7 +35,6 @@ class Effect:
         priors: parameter -> prior; the first is the amplitude, neutral at zero, the others say what it looks like.
         starts: values of the parameters, in the order of ``priors``, from which fits start and at which scores are taken; for
             one parameter with a truncated normal prior two are chosen by default.
-        confused: names of effects that it is easily mistaken for, and the measurement that tells them apart.
         group: effects of one group, the same to first order or shapes of one thing, are reported as one class.
         needs: a parameter that the base model must have for the effect to act on.
         setting: ``setting(setting, *parameters)``, the setting of a bubble as the effect changes it, see
@@ -58,7 +57,6 @@ class Effect:
     place: Place
     priors: dict[str, Marginal]
     starts: tuple[tuple[float, ...], ...] = ()
-    confused: str = ""
     group: str = ""
     needs: str = ""
     setting: Law | None = None

@@ -14,7 +14,6 @@ register_effect(
         "stress rises faster than the neo-Hookean with stretch",
         "material",
         {"alpha": TruncatedNormal(0.0, 0.5, lower=0.0)},
-        confused="shear modulus; another stretch 1/R_inf* tells them apart",
         needs="G",
     )
 )
@@ -24,7 +23,6 @@ register_effect(
         "viscous stress relaxes within microseconds",
         "material",
         {"tau": TruncatedNormal(0.0, 2e-6, lower=0.0)},
-        confused="viscosity, shear thinning; another We (time scale) tells them apart",
         needs="mu",
     )
 )
@@ -35,7 +33,6 @@ register_effect(
         "material",
         {"thinning": TruncatedNormal(0.0, 0.3, lower=0.0, upper=1.0), "shear_time": LogNormal(1e-5, 5.0)},
         ((0.15, 1e-5), (0.4, 1e-5)),
-        "viscosity, relaxation; another We tells them apart",
         needs="mu",
     )
 )
@@ -45,7 +42,6 @@ register_effect(
         "the gel softens with accumulated strain",
         "material",
         {"damage": TruncatedNormal(0.0, 0.1, lower=0.0)},
-        confused="rest radius, stiffening; the second collapse tells them apart",
         group="damage",
         needs="G",
     )
@@ -58,7 +54,6 @@ register_effect(
         # bonds form anew within about the period of a bubble of 200 um: faster is no damage, slower does not heal in a film
         {"damage": TruncatedNormal(0.0, 0.3, lower=0.0), "healing": LogNormal(3e4, 3.0)},
         ((0.1, 3e4), (0.4, 3e4)),
-        "damage that does not heal: late rebounds, and a second shot at the same place, tell them apart",
         group="damage",
         needs="G",
     )
@@ -69,7 +64,6 @@ register_effect(
         "viscosity falls with accumulated strain",
         "material",
         {"viscous_damage": TruncatedNormal(0.0, 0.1, lower=0.0)},  # a third is lost by the first rebound, at a strain of 4
-        confused="viscosity, shear thinning; the second collapse tells them apart",
         needs="mu",
     )
 )
@@ -79,7 +73,6 @@ register_effect(
         "the gel flows only above a stress",
         "material",
         {"yield_stress": TruncatedNormal(0.0, 3e3, lower=0.0)},
-        confused="viscosity",
     )
 )
 register_effect(
@@ -88,7 +81,6 @@ register_effect(
         "the modulus near the bubble differs",
         "material",
         {"graded_modulus": TruncatedNormal(0.0, 0.5, lower=-1.0)},
-        confused="shear modulus",
         needs="G",
     )
 )
@@ -98,7 +90,6 @@ register_effect(
         "growth has stretched the gel for good",
         "material",
         {"permanent_set": TruncatedNormal(0.0, 0.02)},
-        confused="rest radius",
         needs="G",
     )
 )

@@ -35,7 +35,6 @@ register_effect(
         "the true maximum was missed",
         "measurement",
         {"missed_maximum": TruncatedNormal(0.0, 0.015)},
-        confused="trigger offset, residual velocity",
     )
 )
 register_effect(
@@ -44,7 +43,6 @@ register_effect(
         "the clock starts early or late",
         "measurement",
         {"trigger_offset": TruncatedNormal(0.0, 0.025)},
-        confused="residual velocity: the same to first order; frames before the maximum tell them apart",
         group="start",
     )
 )
@@ -54,7 +52,6 @@ register_effect(
         "the rest radius is misread",
         "geometry",
         {"rinf_bias": TruncatedNormal(0.0, 0.05)},
-        confused="gas apart from R_inf: the same to first order; heat exchange, damage, viscosity",
         group="rest radius",
     )
 )
@@ -64,7 +61,6 @@ register_effect(
         "frame rate or pixel size is off",
         "measurement",
         {"clock": TruncatedNormal(0.0, 0.025)},
-        confused="density: nearly the same to first order; vapour pressure, shear modulus",
         group="time_scale",
     )
 )
@@ -74,7 +70,6 @@ register_effect(
         "frames average over their exposure",
         "measurement",
         {"exposure_blur": TruncatedNormal(0.0, 0.05, lower=0.0)},
-        confused="nothing alike",
     )
 )
 register_effect(
@@ -83,7 +78,6 @@ register_effect(
         "the gel refracts: R is magnified as it grows",
         "measurement",
         {"refraction": TruncatedNormal(0.0, 0.01)},
-        confused="missed maximum",
     )
 )
 register_effect(
@@ -92,7 +86,6 @@ register_effect(
         "the bubble's edge is misplaced by the same distance in every frame",
         "measurement",
         {"edge_error": TruncatedNormal(0.0, 2e-6)},  # about a pixel: published films have 1.5 to 2.8 um a pixel
-        confused="rest radius, missed maximum; bubbles of other size tell them apart",
     )
 )
 

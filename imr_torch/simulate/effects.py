@@ -50,7 +50,6 @@ register_effect(
         "more or less heat crosses the bubble's wall",
         "gas",
         {"heat_exchange": TruncatedNormal(0.0, 1.0)},
-        confused="sound speed, viscosity",
         setting=heat_exchange,
     )
 )
@@ -69,7 +68,6 @@ register_effect(
         "vapour pressure off its saturation value",
         "gas",
         {"vapour_pressure": TruncatedNormal(0.0, 0.05, lower=-0.03)},
-        confused="shear modulus, far-field pressure, clock",
         setting=vapour_pressure,
     )
 )
@@ -88,7 +86,6 @@ register_effect(
         "vapour is trapped by the collapse",
         "gas",
         {"condensation": TruncatedNormal(0.0, 0.2, lower=0.0)},
-        confused="rest radius, heat",
         vapour=condensation,
     )
 )
@@ -110,7 +107,6 @@ register_effect(
         "gas is lost at collapse",
         "gas",
         {"gas_loss": TruncatedNormal(0.0, 0.2, lower=0.0)},
-        confused="heat, sound speed",
         gas_loss=gas_loss,
     )
 )
@@ -131,7 +127,6 @@ register_effect(
         "the speed of sound differs",
         "liquid",
         {"sound_speed": TruncatedNormal(0.0, 0.7)},
-        confused="heat exchange",
         setting=sound_speed,
     )
 )
@@ -150,7 +145,6 @@ register_effect(
         "surface tension differs",
         "liquid",
         {"surface_tension": TruncatedNormal(0.0, 0.5)},
-        confused="anything: it is practically undetectable at these sizes",
         setting=surface_tension,
     )
 )
@@ -169,7 +163,6 @@ register_effect(
         "pressure afar is not p_inf",
         "liquid",
         {"far_field_pressure": TruncatedNormal(0.0, 0.015)},
-        confused="vapour pressure, clock",
         setting=far_field_pressure,
     )
 )
@@ -188,7 +181,6 @@ register_effect(
         "a wall or another bubble is near",
         "liquid",
         {"wall": TruncatedNormal(0.0, 0.1)},
-        confused="shear modulus, damage",
         setting=wall,
     )
 )
@@ -216,7 +208,6 @@ register_effect(
         "energy goes into non-spherical modes at collapse",
         "liquid",
         {"energy_loss": TruncatedNormal(0.0, 0.7, lower=0.0)},
-        confused="viscosity, sound speed",
     )
 )
 
@@ -236,7 +227,6 @@ register_effect(
         "the wall still moves at time zero",
         "driving",
         {"residual_velocity": TruncatedNormal(0.0, 0.05)},
-        confused="trigger offset: the same to first order; frames before the maximum tell them apart",
         group="start",
         setting=residual_velocity,
     )
@@ -266,7 +256,6 @@ register_effect(
             "sound_phase": TruncatedNormal(0.0, 2.0),
         },
         tuple((0.03, w, p) for w in (0.7, 1.4, 2.1) for p in (0.0, 1.57, 3.14, 4.71)),
-        "damage; a pulse is a sound field of another shape; a hydrophone tells them apart",
         group="sound",
         far_field=sound_field,
     )
@@ -296,7 +285,6 @@ register_effect(
             "pulse_width": TruncatedNormal(-1.5, 0.7),
         },
         tuple((a, t, -1.5) for a in (0.03, -0.03) for t in (0.5, 1.5, 2.5)),
-        "damage; a sound field is a pulse of another shape; a hydrophone tells them apart",
         group="sound",
         far_field=pulse,
     )

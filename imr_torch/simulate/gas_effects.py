@@ -34,7 +34,6 @@ register_effect(
         "the gas at the maximum radius is not that of R_inf",
         "gas",
         {"excess_gas": TruncatedNormal(0.0, 0.2)},  # 7 % of R_inf, as tails of repeats differ
-        confused="a misread rest radius: the same to first order; a modulus known otherwise tells them apart",
         group="rest radius",
         setting=excess_gas,
     )
@@ -61,7 +60,6 @@ register_effect(
         "the contents are hot (or cold) at the maximum radius",
         "gas",
         {"hot_contents": TruncatedNormal(0.0, 0.15, lower=-0.3, upper=0.6)},  # 45 K: growth lasts several times of conduction
-        confused="vapour pressure, heat exchange; excess gas where the gas is polytropic",
         setting=hot_contents,
     )
 )
@@ -97,7 +95,6 @@ register_effect(
         "gas comes or goes over the event: the tail drifts",
         "gas",
         {"rinf_drift": TruncatedNormal(0.0, 500.0)},  # 1 % in Rmax/U_c of a bubble of 200 um
-        confused="rest radius, gas loss; a longer tail tells them apart",
         gas_loss=rinf_drift,
     )
 )

@@ -88,7 +88,6 @@ register_effect(
         "the medium's density differs",
         "liquid",
         {"density": TruncatedNormal(0.0, 0.05)},
-        confused="clock: nearly the same to first order; weighing a volume of the gel tells them apart",
         group="time_scale",
         setting=density,
     )

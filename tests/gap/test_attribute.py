@@ -1,66 +1,16 @@
-"""From evidence to probabilities of causes: the prior over families, what "other" gains where the winner is not enough, the set."""
+"""Fits of all effects and what follows from them: the credible set, a winner that was cut short, an effect that is enough alone."""
 
-import math
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from imr_torch.assimilate import SearchOptions
-from imr_torch.gap.attribute import PRIOR_NONE, PRIOR_OTHER, Attribution, Inquiry, _weigh, attribute, reconsider
+from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
 from imr_torch.gap.diagnose import impatient
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
-from imr_torch.material import LIBRARY, library
+from imr_torch.material import LIBRARY
 from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator
 from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
-
-EFFECTS = library(["residual_velocity", "trigger_offset", "gas_loss", "wall"])  # the first two are one family
-EVEN = dict.fromkeys(["none", *(e.name for e in EFFECTS)], -3.0)
-
-
-def test_that_even_evidence_gives_the_prior_over_families_back() -> None:
-    posterior, families = _weigh(EVEN, EFFECTS, (), 0.9)
-    known = 1.0 - posterior["other"]
-    share = (1.0 - PRIOR_NONE - PRIOR_OTHER) / 3.0
-    assert sum(posterior.values()) == pytest.approx(1.0)
-    assert posterior["none"] / known == pytest.approx(PRIOR_NONE / (1.0 - PRIOR_OTHER))
-    assert posterior["gas_loss"] / known == pytest.approx(share / (1.0 - PRIOR_OTHER))
-    assert posterior["residual_velocity"] == pytest.approx(0.5 * posterior["gas_loss"])
-    (start,) = [name for name in families if name not in posterior]
-    assert families[start] == pytest.approx(families["gas_loss"])
-    assert sum(families.values()) == pytest.approx(1.0)
-
-
-def test_that_evidence_is_weighed_by_its_exponential_and_what_was_not_fitted_counts_for_nothing() -> None:
-    posterior, _ = _weigh(EVEN | {"wall": -3.0 + math.log(40.0)}, EFFECTS, (), 0.9)
-    assert posterior["wall"] == pytest.approx(40.0 * posterior["gas_loss"])
-    without, _ = _weigh({k: v for k, v in EVEN.items() if k != "wall"}, EFFECTS, (), 0.9)
-    assert "wall" not in without
-
-
-@pytest.mark.parametrize(
-    ("p_adequate", "least", "most"), [(0.9, 0.0, 0.1), (0.05, 0.05, 0.2), (1e-4, 0.9, 1.0), (0.0, 0.99, 1.0)]
-)
-def test_that_other_gains_as_the_winner_leaves_more_unexplained(p_adequate: float, least: float, most: float) -> None:
-    posterior, _ = _weigh(EVEN | {"wall": 20.0}, EFFECTS, (), p_adequate)
-    assert least <= posterior["other"] <= most
-
-
-def test_that_a_second_effect_is_weighed_beside_the_first() -> None:
-    first = (EFFECTS[2],)
-    evidence = {"gas_loss": 0.0, "gas_loss+wall": 6.0}
-    posterior, _ = _weigh(evidence, (EFFECTS[3],), first, 0.9)
-    assert set(posterior) == {"gas_loss+wall", "none", "other"}
-    assert posterior["gas_loss+wall"] / posterior["none"] == pytest.approx(
-        math.exp(6.0) * (1.0 - PRIOR_NONE - PRIOR_OTHER) / PRIOR_NONE
-    )
-
-
-def test_that_two_effects_are_doubted_more_than_one() -> None:
-    """An unknown effect is imitated by two where one cannot, and two at once are rarer than one."""
-    alone, _ = _weigh({"none": 0.0, "gas_loss": 50.0}, EFFECTS[2:], (), 0.9)
-    beside, _ = _weigh({"gas_loss": 0.0, "gas_loss+wall": 50.0}, (EFFECTS[3],), (EFFECTS[2],), 0.9)
-    assert 0.03 < alone["other"] < 0.05
-    assert 0.1 < beside["other"] < 0.2
 
 
 def test_that_the_credible_set_is_the_smallest_that_reaches_its_level() -> None:

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from imr_torch.gap import Ladder, Parts, describe, diagnose, examine, library, to_json
-from imr_torch.gap.attribute import Inquiry, adequacy_test
+from imr_torch.gap.adequacy import adequacy_test
+from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.ladder import climb, left_over
 from imr_torch.material import LIBRARY

@@ -7,7 +7,7 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.gap import LIBRARY, library
-from imr_torch.gap.attribute import adequacy_test
+from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.noise import LEAST, LEAST_CONSTANT, noise_of_traces
 from imr_torch.gap.score import LEVEL
 from imr_torch.material import PARAMETERS

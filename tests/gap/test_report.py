@@ -36,9 +36,24 @@ FOUND = (
     "tests",
     "curves",
     "noise",
+    "members",
+    "expected_loss",
+    "verdict_odds",
+    "certificates",
 )
-PARTS = ("onset_t", "onset_phase", "shrinkage", "best_rival", "ladder", "next_design")
-CAUSES = ("posterior", "credible_set", "adequacy_p", "parameter_shift", "cause_values")
+PARTS = ("first_detected_t", "first_detected_phase", "acts", "shrinkage", "best_rival", "ladder", "gel_scatter", "next_design")
+CAUSES = (
+    "posterior",
+    "posterior_at_odds",
+    "unknown",
+    "look_alikes",
+    "evidence_checks",
+    "prior_scales",
+    "credible_set",
+    "adequacy_p",
+    "parameter_shift",
+    "cause_values",
+)
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
@@ -68,11 +83,22 @@ def test_that_json_has_the_agreed_keys_and_what_was_found(found):
     assert document["gap"] is True
     assert document["verdict"] == "effect"
     assert document["cause"] == ["sound_speed"]
-    assert document["onset_phase"] in ("first collapse", "first rebound")
+    assert document["first_detected_phase"] in ("first collapse", "first rebound")
+    assert max(document["acts"], key=lambda phase: document["acts"][phase][1]) in (
+        "first collapse",
+        "first rebound",
+        "second collapse",
+    )
+    assert sum(middle for _, middle, _ in document["acts"].values()) == pytest.approx(1.0, abs=0.1)
+    assert set(document["posterior_at_odds"]) == {"1:9", "1:1"}
+    assert document["posterior"] == document["posterior_at_odds"][document["verdict_odds"]]
+    assert document["posterior_at_odds"]["1:9"]["other"] <= document["posterior"]["other"]
+    assert 0.0 <= document["unknown"]["chance_look_alike"] <= 1.0
+    assert set(document["certificates"]) == {"none", "sound_speed"}
     assert sum(document["posterior"].values()) == pytest.approx(1.0)
     assert {"none", "other"} <= set(document["posterior"])
     low, median, high = document["shrinkage"]["sound_speed"]
-    assert 0.8 < low <= median <= high
+    assert 0.5 < low <= median <= high
     assert document["best_rival"] in document["shrinkage"]
     shift = document["parameter_shift"]["mu"]
     assert shift["base"][1] < 0.07 < shift["with_cause"][0] < 0.08 < shift["with_cause"][2]
@@ -101,6 +127,9 @@ def test_that_the_words_name_the_cause_the_onset_the_rival_and_the_shift(found):
     text = describe(report, parts)
     assert "its cause is sound_speed (the speed of sound differs)" in text
     assert str(parts.onset) in text
+    assert str(parts.acts) in text
+    assert "at prior odds 1:1 of an unknown effect, on which the verdict is based" in text
+    assert "with 0.5 times the prior scales" in text
     assert f"{parts.shrinkage.rival} (the best rival) removes" in text
     assert re.search(r"mu \(Pa s\): 0\.0[456]\d* becomes 0\.0[78]\d*", text)
 

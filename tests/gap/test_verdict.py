@@ -1,30 +1,30 @@
-"""From probabilities to a verdict: when a cause is named, when it is one of a class, when doubt is left, when there is no gap after all."""
+"""From evidence to probabilities, and from these to a verdict: when a cause is named, with others, with an unknown one, or not."""
 
+import math
 import sys
 from types import SimpleNamespace
 
 import pytest
 
 from imr_torch.gap.attribute import Attribution, Inquiry
+from imr_torch.gap.verdict import PRIOR_NONE, PRIOR_TWO, choose, probabilities
 from imr_torch.material import library
 from tests.gap.synthetic import BASE
 
 EFFECTS = library(["residual_velocity", "trigger_offset", "gas_loss", "wall"])  # the first two are one family
-FAMILIES = {effect.name: effect.family for effect in EFFECTS}
+EVEN = dict.fromkeys(["none", *(e.name for e in EFFECTS)], -3.0)
 module = sys.modules["imr_torch.gap.diagnose"]  # its name in the package is that of the function
 
 
 def attribution(posterior: dict[str, float], winner: str, *, p_adequate: float = 0.5, converged: bool = True) -> Attribution:
     fit = SimpleNamespace(certificate=SimpleNamespace(converged=converged, nearly_converged=converged))
     evidence = dict.fromkeys(["none", winner], 0.0)
-    return Attribution(
-        {winner: fit}, evidence, posterior, {}, winner, SimpleNamespace(p_value=p_adequate, bias_radius=0.01), {}
-    )
+    test = SimpleNamespace(p_value=p_adequate, bias_radius=0.01)
+    return Attribution({winner: fit}, evidence, posterior, {}, winner, test, {})
 
 
 def named(posterior: dict[str, float], winner: str, **about: float):
-    chosen = tuple(effect for effect in EFFECTS if effect.name == winner)
-    return module._name(chosen, attribution(posterior, winner, **about), FAMILIES)
+    return module._name((), attribution(posterior, winner, **about), choose(posterior))
 
 
 def selected(p_gap: float):
@@ -32,14 +32,59 @@ def selected(p_gap: float):
     return module._select(Inquiry(BASE, EFFECTS, None, None), None, left, 2, seed=0, progress=None)
 
 
+def test_that_even_evidence_gives_the_prior_over_families_back() -> None:
+    posterior = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0)
+    assert sum(posterior.values()) == pytest.approx(1.0)
+    assert posterior["none"] == pytest.approx(PRIOR_NONE)
+    assert posterior["other"] == pytest.approx(0.25)
+    assert posterior["gas_loss"] == pytest.approx(0.25 / 3.0)
+    assert posterior["residual_velocity"] == pytest.approx(0.5 * posterior["gas_loss"])
+
+
+def test_that_evidence_is_weighed_by_its_exponential_and_what_was_not_fitted_counts_for_nothing() -> None:
+    posterior = probabilities(EVEN | {"wall": -3.0 + math.log(40.0)}, EFFECTS, (), 1.0)
+    assert posterior["wall"] == pytest.approx(40.0 * posterior["gas_loss"])
+    assert "wall" not in probabilities({k: v for k, v in EVEN.items() if k != "wall"}, EFFECTS, (), 1.0)
+
+
+@pytest.mark.parametrize("odds", [1.0 / 9.0, 1.0])
+@pytest.mark.parametrize("factor", [0.01, 1.0, 1e6])
+def test_that_the_odds_of_an_unknown_effect_are_prior_odds_times_the_bayes_factor(odds: float, factor: float) -> None:
+    posterior = probabilities(EVEN | {"wall": 20.0}, EFFECTS, (), factor, odds=odds)
+    known = sum(p for name, p in posterior.items() if name not in ("none", "other"))
+    assert posterior["other"] / known == pytest.approx(odds * factor)
+
+
+def test_that_two_known_effects_are_rarer_than_one_and_an_unknown_one_must_have_been_seen_through_the_first() -> None:
+    evidence = {"gas_loss": 0.0, "gas_loss+wall": 50.0}
+    posterior = probabilities(evidence, (EFFECTS[3],), (EFFECTS[2],), 0.2, odds=1.0, masked=0.6)
+    assert set(posterior) == {"gas_loss+wall", "none", "other"}
+    assert posterior["other"] / posterior["gas_loss+wall"] == pytest.approx(0.2 * 0.6 / PRIOR_TWO)
+
+
+@pytest.mark.parametrize(
+    ("posterior", "members", "decided"),
+    [
+        ({"a": 0.93, "other": 0.07}, {"a"}, True),
+        ({"a": 0.8, "other": 0.15, "b": 0.05}, {"a", "other"}, True),
+        ({"a": 0.5, "b": 0.35, "other": 0.15}, {"a", "b", "other"}, True),
+        ({"other": 0.97, "a": 0.03}, {"other"}, True),
+        ({f"effect {i}": 0.125 for i in range(8)}, {f"effect {i}" for i in range(8)}, False),
+        ({"a": 0.55} | {f"effect {i}": 0.09 for i in range(5)}, {"a"}, False),
+    ],
+)
+def test_that_the_set_is_that_of_least_expected_loss(posterior: dict[str, float], members: set[str], decided: bool) -> None:
+    """Against all sets of the most probable causes: a further member costs .1, a truth outside 1, no verdict .35."""
+    found = choose(posterior)
+    assert (set(found.members), found.decided) == (members, decided)
+    ranked = sorted(posterior.values(), reverse=True)
+    losses = [1.0 - sum(ranked[:n]) + 0.1 * (n - 1) for n in range(1, len(ranked) + 1)]
+    assert found.loss == pytest.approx(min(*losses, 0.35))
+
+
 def test_that_a_probable_effect_is_named_alone() -> None:
     found = named({"gas_loss": 0.93, "wall": 0.02, "none": 0.01, "other": 0.04}, "gas_loss")
     assert (found.verdict, found.cause) == ("effect", ("gas_loss",))
-
-
-def test_that_effects_of_one_family_are_a_class() -> None:
-    found = named({"residual_velocity": 0.6, "trigger_offset": 0.35, "none": 0.01, "other": 0.04}, "residual_velocity")
-    assert (found.verdict, found.cause) == ("class", ("residual_velocity", "trigger_offset"))
 
 
 def test_that_effects_that_share_the_probability_are_a_class() -> None:
@@ -47,7 +92,13 @@ def test_that_effects_that_share_the_probability_are_a_class() -> None:
     assert (found.verdict, found.cause) == ("class", ("gas_loss", "wall"))
 
 
-@pytest.mark.parametrize(("none", "verdict"), [(0.1, "effect"), (0.34, "undecided")])
+def test_that_an_unknown_effect_is_a_member_beside_the_one_named() -> None:
+    found = named({"gas_loss": 0.8, "wall": 0.02, "none": 0.01, "other": 0.17}, "gas_loss")
+    assert (found.verdict, found.cause) == ("effect", ("gas_loss",))
+    assert found.choice.members == {"gas_loss": 0.8, "other": 0.17}
+
+
+@pytest.mark.parametrize(("none", "verdict"), [(0.09, "effect"), (0.34, "undecided")])
 def test_that_nobody_is_named_while_the_base_model_alone_is_probable(none: float, verdict: str) -> None:
     found = named({"gas_loss": 0.96 - none, "none": none, "other": 0.04}, "gas_loss")
     assert found.verdict == verdict
@@ -58,32 +109,33 @@ def test_that_a_leader_without_a_certificate_is_no_verdict() -> None:
     assert named({"gas_loss": 0.96, "none": 0.0, "other": 0.04}, "gas_loss", converged=False).verdict == "undecided"
 
 
-@pytest.mark.parametrize(("none", "p_adequate", "verdict"), [(0.6, 0.5, "none"), (0.6, 0.01, "none"), (0.02, 0.5, "effect")])
-def test_that_the_evidence_takes_a_gap_back_that_no_effect_explains(
-    monkeypatch, none: float, p_adequate: float, verdict: str
-) -> None:
-    found = attribution({"gas_loss": 0.96 - none, "none": none, "other": 0.04}, "gas_loss", p_adequate=p_adequate)
+@pytest.mark.parametrize(("none", "verdict"), [(0.6, "none"), (0.02, "effect")])
+def test_that_the_evidence_takes_a_gap_back_that_no_effect_explains(monkeypatch, none: float, verdict: str) -> None:
+    found = attribution({"gas_loss": 0.96 - none, "none": none, "other": 0.04}, "gas_loss")
     monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
     finding = selected(0.02)
     assert finding.verdict == verdict
     assert ("keeps a probability of 0.60" in finding.reason) == (verdict == "none")
 
 
-@pytest.mark.parametrize(("p_alone", "cause"), [(0.4, ("wall",)), (0.01, ("gas_loss", "wall"))])
-def test_that_a_second_effect_that_is_enough_alone_is_named_alone(monkeypatch, p_alone: float, cause: tuple[str, ...]) -> None:
-    first = attribution({"gas_loss": 1.0, "none": 0.0, "other": 0.0}, "gas_loss", p_adequate=1e-6)
+@pytest.mark.parametrize(("other", "cause"), [(0.1, ("wall",)), (0.9, ("gas_loss", "wall"))])
+def test_that_a_first_effect_is_dropped_where_the_second_is_enough_alone(
+    monkeypatch, other: float, cause: tuple[str, ...]
+) -> None:
+    first = attribution({"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6)
     both = attribution({"gas_loss+wall": 0.96, "none": 0.0, "other": 0.04}, "gas_loss+wall")
     both.log_evidence.update({"gas_loss": 0.0, "gas_loss+wall": 20.0})
-    alone = attribution({"wall": 0.96, "none": 0.0, "other": 0.04}, "wall", p_adequate=p_alone)
+    alone = attribution({"wall": 1.0 - other, "none": 0.0, "other": other}, "wall")
     monkeypatch.setattr(module, "attribute", lambda *_, with_, **__: both if with_ else first)
     monkeypatch.setattr(module, "reconsider", lambda *_, **__: alone)
     finding = selected(0.0)
     assert (finding.verdict, finding.cause) == ("effect", cause)
+    assert finding.steps == (first, both)
 
 
 @pytest.mark.parametrize(("nats", "said"), [(40.0, "nearest comes gas_loss (40 nats;"), (0.3, "explains any of it")])
 def test_that_other_says_what_came_nearest_only_if_that_explains_something(monkeypatch, nats: float, said: str) -> None:
-    found = attribution({"gas_loss": 0.96, "none": 0.0, "other": 0.04}, "gas_loss", p_adequate=1e-6)
+    found = attribution({"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6)
     monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
     monkeypatch.setattr(module, "laplace_evidence", lambda fit: 0.0 if fit is None else nats)
     finding = selected(0.0)
@@ -92,7 +144,7 @@ def test_that_other_says_what_came_nearest_only_if_that_explains_something(monke
 
 
 def test_that_other_needs_a_certificate_of_what_came_nearest(monkeypatch) -> None:
-    found = attribution({"gas_loss": 0.96, "none": 0.0, "other": 0.04}, "gas_loss", p_adequate=1e-6, converged=False)
+    found = attribution({"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6, converged=False)
     monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
     monkeypatch.setattr(module, "laplace_evidence", lambda fit: 0.0 if fit is None else 40.0)
     finding = selected(0.0)

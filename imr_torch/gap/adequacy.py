@@ -1,0 +1,82 @@
+"""The gap test at a fit that includes effects: what is left unexplained there, and in which directions it was looked for."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.gap.linear import Linearisation, linearise
+from imr_torch.gap.lookalike import Likeness, likeness, look_alikes
+from imr_torch.gap.refitted import refitted_directions
+from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_rows, promising_starts
+from imr_torch.material import Effect
+from imr_torch.observe import ExperimentBatch
+from imr_torch.simulate import Simulator
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """The gap test at a fit, with the directions that it is made of.
+
+    Args:
+        test: the gap test there.
+        starts: from where each effect that the fit does not hold would start.
+        line: local sensitivities at the fit.
+        directions: what each of those effects changes there (:func:`imr_torch.gap.score.effect_directions`).
+        effects: those effects.
+        beside: the same beside a refit (:func:`imr_torch.gap.refitted.refitted_directions`).
+        generic: rows of the generic blocks (:func:`imr_torch.gap.score.generic_rows`).
+    """
+
+    test: GapTest
+    starts: dict[str, tuple[tuple[float, ...], ...]]
+    line: Linearisation
+    directions: dict[str, Tensor]
+    effects: tuple[Effect, ...] = ()
+    beside: dict[str, Tensor] = field(default_factory=dict)
+    generic: dict[str, Tensor] = field(default_factory=dict)
+
+    def likeness(self, size: float, *, seed: int) -> Likeness:
+        """What an unknown effect would look like here, of which a known one explains ``size`` standard deviations."""
+        return likeness(size, self.beside, self.generic, self.effects, self.line, seed=seed)
+
+    def look_alikes(
+        self,
+        effect: Effect,
+        values: Sequence[float],
+        size: float,
+        fit: ModelFit,
+        batch: ExperimentBatch,
+        simulator: Simulator,
+    ) -> dict[str, tuple[float, float]]:
+        """Effects that would look like one that was found: name -> angle in degrees, and what they leave of it in sd.
+
+        Args:
+            effect: the one that was found.
+            values: its fitted parameters.
+            size: standard deviations that it explains.
+            fit: the fit at which this test was made.
+            batch: the data.
+            simulator: makes the bubbles.
+        """
+        fitted = replace(effect, starts=(tuple(values),))
+        rows = effect_directions([fitted], fit, batch, simulator, self.line)
+        signal = refitted_directions([fitted], fit, batch, simulator, self.line, rows)[effect.name][0]
+        left = self.line.project(signal)
+        others = {name: own for name, own in self.beside.items() if name != effect.name}
+        return look_alikes(left * (size / left.norm().clamp_min(1e-300)), others, self.line)
+
+
+def adequacy_test(
+    fit: ModelFit, effects: Sequence[Effect], batch: ExperimentBatch, simulator: Simulator, *, seed: int
+) -> Adequacy:
+    """The gap test at a fit, of effects that it does not hold and of the generic blocks."""
+    line = linearise(fit, batch, simulator)
+    others = tuple(effect for effect in effects if not set(effect.names) & set(fit.prior.names))
+    directions = effect_directions(others, fit, batch, simulator, line)
+    beside = refitted_directions(others, fit, batch, simulator, line, directions)
+    generic = generic_rows(fit, batch, simulator, line)
+    blocks = [block(name, rows, line) for name, rows in (*beside.items(), *generic.items())]
+    starts = {effect.name: promising_starts(effect, beside[effect.name], line) for effect in others}
+    return Adequacy(gap_test(blocks, line, seed=seed), starts, line, directions, others, beside, generic)

@@ -1,0 +1,108 @@
+"""From evidence to probabilities of causes, and from these to a verdict by a stated loss.
+
+An unknown effect has prior odds against the known ones, and the Bayes factor of how much the best of them leaves unexplained
+(:mod:`imr_torch.gap.lookalike`); so the probability of "other" and the adequacy of the leading effect are one thing. The
+verdict names the set of causes of least expected loss: a truth outside the set costs 1, every further member .1, and to stay
+undecided .35. So a cause is a member where its probability exceeds .1, and an unknown effect is one like any other.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from imr_torch.material import Effect
+
+NONE, OTHER = "none", "other"
+"""The base model alone; an effect that is not in the library."""
+PRIOR_NONE = 0.5
+"""That nothing is missing."""
+ODDS = (1.0 / 9.0, 1.0)
+"""Prior odds of an unknown effect against the known ones at which probabilities are given."""
+VERDICT_ODDS = 1.0
+"""Those that the verdict is based on."""
+PRIOR_TWO = 0.1
+"""That two effects act at once, given that the known ones do."""
+MEMBER, UNDECIDED = 0.1, 0.35
+"""Loss of a further member of the set that a verdict names, and of no verdict; that of a truth outside the set is 1."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The set of causes of least expected loss.
+
+    Args:
+        members: its causes with their probabilities, largest first; ``"none"`` and ``"other"`` may be among them.
+        loss: expected; that of staying undecided where that is less.
+        decided: whether naming the set costs less than staying undecided.
+
+    >>> from imr_torch.gap.verdict import choose
+    >>> choose({"wall": 0.8, "damage": 0.05, "other": 0.15}).members
+    {'wall': 0.8, 'other': 0.15}
+    """
+
+    members: dict[str, float]
+    loss: float
+    decided: bool
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """The known effects among the members."""
+        return tuple(name for name in self.members if name not in (NONE, OTHER))
+
+    @property
+    def leader(self) -> str:
+        """The most probable member."""
+        return next(iter(self.members))
+
+
+def choose(posterior: Mapping[str, float]) -> Choice:
+    """The set of causes of least expected loss.
+
+    Args:
+        posterior: cause -> probability, summing to one.
+    """
+    ranked = sorted(posterior.items(), key=lambda item: -item[1])
+    members = dict(ranked[:1]) | {name: p for name, p in ranked[1:] if p > MEMBER}
+    loss = 1.0 - sum(members.values()) + MEMBER * (len(members) - 1)
+    return Choice(members, min(loss, UNDECIDED), loss <= UNDECIDED)
+
+
+def probabilities(
+    evidence: Mapping[str, float],
+    effects: Sequence[Effect],
+    with_: Sequence[Effect],
+    bayes_factor: float,
+    *,
+    odds: float = VERDICT_ODDS,
+    masked: float = 1.0,
+) -> dict[str, float]:
+    """Posterior over hypotheses, ``"none"`` (of the effects asked about) and ``"other"``.
+
+    Prior: the base model .5; the rest is shared between known and unknown effects by ``odds``, and among the known ones evenly
+    over families (declared forms of one thing, so that two forms of an effect do not count twice). Beside an effect that was
+    selected, "other" stands for an unknown effect in place of two known ones, which are rarer than one.
+
+    Args:
+        evidence: hypothesis -> nats.
+        effects: those asked about.
+        with_: those that every hypothesis holds.
+        bayes_factor: of an unknown effect over the leading one, by what that leaves unexplained.
+        odds: prior odds of an unknown effect against the known ones.
+        masked: beside selected effects, the chance that these alone did not explain an unknown effect.
+    """
+    prefix = "+".join(effect.name for effect in with_)
+    families = [effect.family for effect in effects]
+    known = (1.0 - PRIOR_NONE) / (1.0 + odds)
+    logs = {}
+    for effect in effects:
+        name = f"{prefix}+{effect.name}" if prefix else effect.name
+        if name in evidence:
+            logs[name] = math.log(known / len(set(families)) / families.count(effect.family)) + evidence[name]
+    logs[NONE] = math.log(PRIOR_NONE) + evidence[prefix or NONE]
+    top = max(logs.values())
+    weights = {name: math.exp(value - top) for name, value in logs.items()}
+    of_effects = sum(weight for name, weight in weights.items() if name != NONE)
+    against = odds * masked / PRIOR_TWO if with_ else odds
+    weights[OTHER] = of_effects * min(against * bayes_factor, 1e12)
+    total = sum(weights.values())
+    return {name: weight / total for name, weight in weights.items()}
