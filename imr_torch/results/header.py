@@ -41,18 +41,17 @@ def header(
     """The keys that every result document begins with.
 
     Args:
-            kind: what the document holds, the name of the command that made it.
-            files: data files that were read; JSON files of the same names beside them are named too.
-            medium: the liquid side, with what was stated and what was assumed; of plain surroundings all is assumed.
-            command: the command line.
-            now: when the result was made; the present when not given.
+        kind: what the document holds, the name of the command that made it.
+        files: data files that were read; JSON files of the same names beside them are named too.
+        medium: the liquid side, with what was stated and what was assumed; of plain surroundings all is assumed.
+        command: the command line.
+        now: when the result was made; the present when not given.
 
-        >>> from imr_torch.results import header
-        >>> from imr_torch.observe import GelMedium
-    from imr_torch.units import Surroundings
-        >>> document = header("characterize", medium=Surroundings(density=998.0))
-        >>> document["schema"], document["medium"]["density"]["value"]
-        ({'name': 'imr_torch characterize', 'version': 1}, 998.0)
+    >>> from imr_torch.results import header
+    >>> from imr_torch.units import Surroundings
+    >>> document = header("characterize", medium=Surroundings(density=998.0))
+    >>> document["schema"], document["medium"]["density"]["value"]
+    ({'name': 'imr_torch characterize', 'version': 1}, 998.0)
     """
     document: dict[str, Any] = {
         "schema": {"name": f"imr_torch {kind}", "version": SCHEMA_VERSION},
