@@ -77,7 +77,13 @@ class Parameter:
 
 
 class ParameterVector:
-    """The ordered register of parameters, and the layout of every parameter tensor."""
+    """The ordered register of parameters, and the layout of every parameter tensor.
+
+    Attributes:
+        size: number of parameters, the last dimension of every parameter tensor.
+    """
+
+    size: int = 0
 
     def __init__(self) -> None:
         self._entries: dict[str, Parameter] = {}
@@ -90,6 +96,7 @@ class ParameterVector:
             raise InputDataError(f"Parameter {parameter.name!r} is registered already with another definition: {known}.")
         self._entries[parameter.name] = parameter
         self._columns = {name: column for column, name in enumerate(self._entries)}
+        self.size = len(self._entries)
         return parameter
 
     def __len__(self) -> int:
@@ -123,6 +130,12 @@ class ParameterVector:
         """A ``batch_shape x p`` tensor of neutral values: a bubble in an inviscid liquid without elasticity."""
         row = torch.tensor([p.neutral for p in self], dtype=dtype)
         return row.expand(*batch_shape, len(self)).clone()
+
+    def acting(self, rows: Tensor) -> frozenset[str]:
+        """Names of the parameters (``rows``, ``p x B``, in SI or dimensionless) that are not neutral in some member."""
+        neutral = self.neutral(dtype=rows.dtype).to(rows.device)
+        moved = (rows != neutral[:, None]).any(1)
+        return frozenset(name for name, acts in zip(self.names, moved.tolist(), strict=True) if acts)
 
     def pack(self, values: Mapping[str, float | Tensor]) -> Tensor:
         """Put named values into a parameter tensor; what is not named is neutral.

@@ -7,6 +7,7 @@ value of zero at which it does nothing, exactly.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import torch
@@ -93,6 +94,12 @@ _GEOMETRY = ("missed_maximum", "trigger_offset", "rinf_bias")  # in the order of
 _NODES, _WEIGHTS = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(8))
 
 
+@cache
+def _columns() -> list[int]:
+    """Where the errors stand in a parameter tensor; a column never moves, since entries are only appended."""
+    return PARAMETERS.index((*_GEOMETRY, "clock", "exposure_blur", "refraction", "edge_error"))
+
+
 @dataclass(frozen=True)
 class Distortion:
     """The errors of a batch; tensors of ``batch_shape x 1``, to stand beside experiments.
@@ -114,8 +121,7 @@ class Distortion:
     @classmethod
     def of(cls, parameters: Tensor, exposures: Tensor | None = None) -> "Distortion | None":
         """The errors in ``batch_shape x p`` parameters, known ``exposures`` (``E``) added to the blur; None if all are 0."""
-        names = (*_GEOMETRY, "clock", "exposure_blur", "refraction", "edge_error")
-        columns = parameters[..., PARAMETERS.index(names)]
+        columns = parameters[..., _columns()]
         known = exposures is not None and bool((exposures != 0.0).any())
         if not known and not bool((columns != 0.0).any()):
             return None

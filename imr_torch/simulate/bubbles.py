@@ -95,7 +95,6 @@ class Setting(NamedTuple):
     """What the numbers of a bubble follow from; each a ``B`` tensor, which effects may change.
 
     Args:
-        weber: ``We`` of the design.
         rest_radius: ``R_inf*`` of the design.
         tension: ``1/We`` as it acts on the wall.
         slowness: ``1/c``.
@@ -114,7 +113,6 @@ class Setting(NamedTuple):
         temperature: of the medium, K.
     """
 
-    weber: Tensor
     rest_radius: Tensor
     tension: Tensor
     slowness: Tensor
@@ -142,7 +140,6 @@ class Setting(NamedTuple):
             return torch.full_like(weber, value)
 
         return cls(
-            weber=weber,
             rest_radius=rest,
             tension=1.0 / weber,
             slowness=all_at(outer.velocity_scale / outer.sound_speed),
@@ -214,11 +211,13 @@ class Numbers(NamedTuple):
     pace: Scalar
 
     @classmethod
-    def of(cls, setting: Setting, theta: Mapping[str, Tensor], conditions: Conditions) -> "Numbers":
-        """The numbers that follow from a setting and dimensionless parameters of the gel."""
+    def of(
+        cls, setting: Setting, theta: Mapping[str, Tensor], size: Tensor, seconds: Tensor, conditions: Conditions
+    ) -> "Numbers":
+        """The numbers of a setting, dimensionless parameters of the gel, ``Rmax`` (m) and ``Rmax/U_c`` (s)."""
         outer, medium, gas = conditions.surroundings, conditions.medium, conditions.gas
         kind, speed = conditions.mixture.vapour, outer.velocity_scale
-        rest, size = setting.rest_radius, outer.max_radius(setting.weber)
+        rest = setting.rest_radius
         nothing = torch.zeros_like(rest)
         at_rest = setting.ambient + setting.resting / rest
         warm, lightness = setting.temperature, setting.pace**2
@@ -235,7 +234,7 @@ class Numbers(NamedTuple):
             far=setting.far,
             image=setting.image,
             velocity=setting.velocity,
-            seconds=outer.time_scale(size),
+            seconds=seconds,
             gas=amount * (at_rest - beside) * rest ** (3.0 if gas.reference == "maximum" else 3.0 * setting.exponent),
             exponent=setting.exponent,
             vapour=beside,
@@ -287,9 +286,12 @@ class Bubbles:
             conditions: surroundings, contents and gel.
             terms: stress terms to choose from; all registered ones by default.
         """
-        theta = dimensionless(parameters, conditions.surroundings.max_radius(designs[:, 0]), conditions.surroundings)
+        outer = conditions.surroundings
+        size = outer.max_radius(designs[:, 0])
+        seconds = outer.time_scale(size)
+        theta = dimensionless(parameters, size, outer)
         rows = torch.stack(list(theta.values()))
-        acting = _acting(rows)
+        acting = PARAMETERS.acting(rows)
         effects = tuple(e for e in LIBRARY.values() if e.physical and e.names[0] in acting)
         setting = Setting.of(designs, conditions)
         for name, law in MEDIUM.items():
@@ -298,7 +300,7 @@ class Bubbles:
         for effect in effects:
             if effect.setting is not None:
                 setting = effect.setting(setting, *(theta[name] for name in effect.names))
-        numbers = Numbers.of(setting, theta, conditions)
+        numbers = Numbers.of(setting, theta, size, seconds, conditions)
         chosen = tuple(term for term in (TERMS if terms is None else terms) if term.switch in acting)
         return cls(conditions, Constants.of(conditions), numbers, rows, chosen, effects)
 
@@ -312,7 +314,7 @@ class Bubbles:
         state stays: memory, and gas that is lost.
         """
         parameters = self.parameters[:, members]
-        acting = _acting(parameters)
+        acting = PARAMETERS.acting(parameters)
         terms = tuple(term for term in self.terms if term.switch in acting or term.states)
         numbers = Numbers(*(x[members] for x in self.numbers))
         return replace(self, numbers=numbers, parameters=parameters, terms=terms)
@@ -353,10 +355,3 @@ class Bubbles:
     def driven(self) -> bool:
         """Whether the pressure afar changes for any member."""
         return self.conditions.driving is not None or bool(self.acting("far_field"))
-
-
-def _acting(parameters: Tensor) -> frozenset[str]:
-    """Parameters (rows, ``p x B``) that are not neutral in some member."""
-    neutral = PARAMETERS.neutral(dtype=parameters.dtype).to(parameters.device)
-    moved = (parameters != neutral[:, None]).any(1)
-    return frozenset(name for name, acts in zip(PARAMETERS.names, moved.tolist(), strict=True) if acts)

@@ -187,9 +187,9 @@ def broadcast_batch(parameters: Tensor, designs: Tensor, times: Tensor) -> tuple
     >>> tuple(shape), [tuple(x.shape) for x in flat][1:]
     ((3,), [(3, 2), (3, 5)])
     """
-    if parameters.shape[-1:] != (len(PARAMETERS),):
+    if parameters.shape[-1:] != (PARAMETERS.size,):
         raise ShapeError(
-            f"parameters has shape {tuple(parameters.shape)}; expected batch_shape x {len(PARAMETERS)} "
+            f"parameters has shape {tuple(parameters.shape)}; expected batch_shape x {PARAMETERS.size} "
             f"in the order {PARAMETERS.names}. PARAMETERS.pack makes it from names."
         )
     if designs.shape[-1:] != (2,):

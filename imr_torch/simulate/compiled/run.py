@@ -8,7 +8,7 @@ import functools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -35,14 +35,19 @@ _SHARES = 8  # chunks a thread, at least, so that none waits long for the last
 def obstacle(bubbles: Bubbles) -> str | None:
     """What keeps a batch from the compiled engine, in words; None if nothing does. Laws that do not act are no obstacle."""
     conditions = bubbles.conditions
-    laws = [type(conditions.motion).law, type(conditions.gas).law]
+    kinds = [type(conditions.motion), type(conditions.gas)]
     if conditions.driving is not None:
         if not isinstance(conditions.driving, LawDriving):
             return f"the driving {type(conditions.driving).__name__} is no LawDriving"
-        laws.append(type(conditions.driving).law)
-    missing = [law.__qualname__ for law in laws if not has_compiled_form(law)]
-    missing += [part.name for part in (*bubbles.terms, *bubbles.effects) if not part.compilable]
+        kinds.append(type(conditions.driving))
+    missing = [*_without_form(*kinds), *(part.name for part in (*bubbles.terms, *bubbles.effects) if not part.compilable)]
     return f"{missing[0]} has no compiled form" if missing else None
+
+
+@cache
+def _without_form(*kinds: Any) -> tuple[str, ...]:
+    """Names of the laws of some classes that have no compiled form."""
+    return tuple(kind.law.__qualname__ for kind in kinds if not has_compiled_form(kind.law))
 
 
 def registry_of(conditions: Conditions, terms: Sequence[StressTerm] | None) -> Registry:
@@ -164,12 +169,12 @@ def _shared(bubbles: Bubbles, registry: Registry) -> tuple[Any, ...]:
         registry.gases.index(type(conditions.gas).law),
         registry.drivings.index(type(driving).law) if isinstance(driving, LawDriving) else -1,
     ]
-    shape = driving if isinstance(driving, LawDriving) else LawDriving()  # a table of zeros
+    shape, values = (driving, driving.values) if isinstance(driving, LawDriving) else (LawDriving(), ())  # a table of zeros
     return (
         np.array(bubbles.constants, dtype=np.float64),
         np.array(kinds),
         np.array([*conditions.motion.constants, 0.0]),
-        np.array([*shape.values, 0.0]),
+        np.array([*values, 0.0]),
         shape.knots.numpy(),
         shape.cubics.numpy(),
         1.0 / conditions.surroundings.far_field_pressure,
