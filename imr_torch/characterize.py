@@ -27,11 +27,11 @@ from imr_torch.assimilate import (
     SearchOptions,
     Verdict,
     assimilate_estimating_noise,
-    determines_noise,
     find_bad_frames,
     noise_edges,
     weigh,
 )
+from imr_torch.assimilate.noise_estimation import determines_noise
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.gap import FitTest, MediumSensitivity, check_fit, medium_sensitivities

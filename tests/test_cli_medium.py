@@ -100,7 +100,7 @@ def test_that_diagnose_fits_in_the_stated_medium(tmp_path, capsys) -> None:
 def test_that_a_campaign_is_of_one_medium(tmp_path, capsys) -> None:
     out = tmp_path / "gel"
     base = ["campaign", "--models", "nhkv", "--policy", "space-filling", "--repeats", "1", *QUICK, "--out", str(out)]
-    base += ["--rest-radius", "0.21:0.005"]
+    rest = ["--rest-radius", "0.21:0.005"]
     assert main([*base, "--medium", "density=1150:10"]) == 0
     start = json.loads((out / "journal.jsonl").read_text().splitlines()[0])
     assert start["note"]["medium"]["density"]["value"] == 1150.0
@@ -109,10 +109,10 @@ def test_that_a_campaign_is_of_one_medium(tmp_path, capsys) -> None:
     assert "another campaign" in (said := capsys.readouterr().err)
     assert "note.medium.density.value" in said
     path = shot(tmp_path, {"density": 1150, "temperature": 310})
-    assert main([*base, "--resume", "--medium", "density=1150:10", "--tell", str(path)]) == 2
+    assert main([*base, *rest, "--resume", "--medium", "density=1150:10", "--tell", str(path)]) == 2
     assert "this campaign assumed its temperature" in capsys.readouterr().err
     path = shot(tmp_path, {"density": 1140})
-    assert main([*base, "--resume", "--medium", "density=1150:10", "--tell", str(path)]) == 0
+    assert main([*base, *rest, "--resume", "--medium", "density=1150:10", "--tell", str(path)]) == 0
     assert "Stated twice, density: 1150 +- 10 (--medium) and 1140" in capsys.readouterr().out
     assert json.loads((out / "campaign.json").read_text())["medium"]["density"]["sd"] == 10.0
 

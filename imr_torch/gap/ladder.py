@@ -62,6 +62,10 @@ class Rung:
             could be held out.
         log_score: held-out log predictive density over the base model, nats, and its standard error; None likewise.
         trained: whether the fits of the held-out designs have converged.
+
+    >>> from imr_torch.gap.ladder import Left
+    >>> Left("first rebound", misfit=0.008, noise=0.003, share=0.7).phase  # what a rung leaves there
+    'first rebound'
     """
 
     effects: tuple[str, ...]
@@ -110,6 +114,20 @@ class Ladder:
 
     Args:
         rungs: the base model first.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.gap import diagnose, examine
+    >>> from imr_torch.material import PARAMETERS, library
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> simulator = PolytropicSimulator()
+    >>> gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093, "sound_speed": 0.8})
+    >>> laboratory = SimulatedLaboratory(simulator, gel, repeats=20)
+    >>> shots = [laboratory.shoot(torch.tensor(d).double(), seed=i) for i, d in enumerate(((400.0, 0.22), (700.0, 0.16)))]
+    >>> report = diagnose(shots, effects=library(["sound_speed"]), simulator=simulator)
+    >>> ladder = examine(report, simulator).ladder
+    >>> [rung.name for rung in ladder.rungs], ladder.best.adequate
+    (['none', 'sound_speed'], True)
     """
 
     rungs: tuple[Rung, ...]

@@ -22,7 +22,7 @@ def water_density(temperature: float) -> float:
 
     >>> from imr_torch.material.media import water_density
     >>> round(water_density(298.15), 2)
-    997.05
+    997.04
     """
     t = temperature - _ZERO
     coefficients = (999.83952, 16.945176, -7.9870401e-3, -46.170461e-6, 105.56302e-9, -280.54253e-12)

@@ -13,11 +13,10 @@ from imr_torch.assimilate import (
     SearchOptions,
     assimilate,
     assimilate_estimating_noise,
-    marginal,
-    most_probable_law,
     noise_edges,
     weigh,
 )
+from imr_torch.assimilate.noise_posterior import marginal, most_probable_law
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
 from imr_torch.select import cross_validate
