@@ -228,14 +228,20 @@ def _seen_by(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Mod
 
 
 def finish(
-    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None = None
+    fit: ModelFit,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+    options: SearchOptions | None = None,
+    progress: Progress | None = None,
 ) -> ModelFit:
     """Continue a fit that was cut short, from where it ended and from a point beside it.
 
     The second start may end in another local minimum. The agreement in the certificate is then that of the earlier starts, if
     they had nearly converged.
     """
-    options = SearchOptions(starts=2)
+    options = options or SearchOptions(starts=2)
     near = as_assimilation(fit, batch)
     found = assimilate(near.prior, batch, simulator, seed=seed, options=options, near=near, warn=False, progress=progress)
     ended = found.fits[0]

@@ -28,6 +28,7 @@ from imr_torch.types import Progress
 _FURTHER = 3.0  # nats that an effect must explain to be added or kept
 _CANDIDATES = 6  # effects that are fitted in a later step
 _FIT = SearchOptions(starts=2, iterations=30, drop_behind=6.0, basin_rounds=0, polish=False)
+_FINISH = SearchOptions(starts=2, iterations=12, basin_rounds=0, polish=False)  # slow ones end uncertified, and say so
 _LESS = 0.7  # second start of an effect over its first
 
 
@@ -290,4 +291,4 @@ def _finished(fit: ModelFit, inquiry: Inquiry, seed: int) -> ModelFit:
     """A fit taken to its minimum if it is not there."""
     if fit.certificate.converged:
         return fit
-    return finish(fit, inquiry.batch, inquiry.simulator, seed=child(seed, "finish"))
+    return finish(fit, inquiry.batch, inquiry.simulator, seed=child(seed, "finish"), options=_FINISH)

@@ -24,7 +24,7 @@ from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
-MOST = 4
+MOST = 2
 """Effects that a ladder adds, at most."""
 
 
