@@ -135,8 +135,8 @@ class Ladder:
 
     @property
     def best(self) -> Rung:
-        """The rung that predicts held-out designs best; the last one where none was held out."""
-        scores = [0.0 if rung.log_score is None else rung.log_score[0] for rung in self.rungs]
+        """The rung that closes some of the gap on held-out designs and predicts them best; the last where none was held out."""
+        scores = [rung.log_score[0] if rung.log_score and rung.closed and rung.closed[1] > 0.0 else 0.0 for rung in self.rungs]
         return self.rungs[-1] if self.rungs[-1].log_score is None else self.rungs[scores.index(max(scores))]
 
     def __str__(self) -> str:
