@@ -127,7 +127,7 @@ def next_step(report: GapReport, parts: Parts | None = None) -> str:
         return (
             "Use the base model with its intervals; shoot more repeats if an effect that would be missed here matters to you."
         )
-    if (ahead := parts.next_design) is not None:
+    if (ahead := parts.next_design) is not None and ahead.helps:
         weber, rest = ahead.design.tolist()
         return f"Shoot We = {weber:.0f}, R_inf* = {rest:.3f} next: there {' and '.join(ahead.causes)} differ most."
     if report.verdict == "effect":
@@ -412,6 +412,16 @@ def _next(report: GapReport, parts: Parts) -> tuple[str, ...]:
         lines.append(
             f"We = {weber:.0f}, R_inf* = {rest:.3f} tells {', '.join(found.causes)} apart best: {found.gain:.2f} +- "
             f"{found.error:.2f} nats of the {found.entropy:.2f} still open between them."
+        )
+        lines.append(
+            f"The expected probability of the true cause there is {found.after:.2f} +- {found.after_error:.2f} after the shot, "
+            f"and {found.now:.2f} now." + ("" if found.helps else " That is within its error: no design helps.")
+        )
+        plan = found.plan
+        errors = ", ".join(f"{100.0 * sd:.2g} %" for sd in plan.nuisance.sds().tolist())
+        lines.append(
+            f"Planned as these data were observed (median of their experiments): {plan.repeats} repeats, {len(plan.times)} "
+            f"frames to t* = {float(plan.times[-1]):.2f}, their noise, and errors of Rmax, time zero and R_inf of {errors}."
         )
     return tuple(lines) or ("Not computed, because there are no causes to tell apart.",)
 
