@@ -3,15 +3,16 @@
 Data are made of every cause at draws of its posterior, with the noise and the nuisances of the plan, and each datum is weighed
 under every cause: evidence of the linearised model, at the gel that explains the datum best (Gauss-Newton steps). An unknown
 effect that looks like the leading one is the leading one with a reference effect beside it (an effect of the library or a law
-of the state), of which the present data leave the amplitude open. Beside the leader's fit the reference changes the present
-data by ``l`` (whitened, all that was fitted projected out; the residual is ``r``) at its typical size. An amplitude that is a
-standard normal before has, after the data, the mean ``l.r / (1 + l.l)``, the variance ``1 / (1 + l.l)``, and the evidence
-``(1 + l.l)^-1/2 exp((l.r)^2 / (1 + l.l) / 2)``, by which the references are weighed.
+of the state), each effect as likely as the next. Beside the leader's fit a reference of typical size changes the present data
+by ``l`` standard deviations, all that was fitted projected out. An unknown effect is no reference exactly, so its size is not
+learnt from the data as theirs would be; but it cannot leave much more than ``m`` = 3 (:data:`imr_torch.gap.lookalike.LIKE`), or
+it would not look like the leader. Its amplitude has mean 0 and variance ``1 / (1 + (l / m)^2)``, in units of the typical size.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -24,15 +25,15 @@ from imr_torch.design.likelihood import Data, infer
 from imr_torch.design.refine import best_starts, refine
 from imr_torch.design.response import Response, Shot
 from imr_torch.gap.adequacy import Adequacy
+from imr_torch.gap.lookalike import LIKE
 from imr_torch.gap.score import STATE_LAW, law_steps
 from imr_torch.gap.verdict import OTHER
-from imr_torch.material import LIBRARY, PARAMETERS, Belief
+from imr_torch.material import LIBRARY, PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance, predict
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 
 _REFINEMENTS, _CLOSE, _BEHIND = 3, 0.5, 30.0  # as in the estimator of the gain about the model
-_LIGHT = 0.01  # references of less than this part of the largest weight are left out
 _LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones
 
 
@@ -71,9 +72,8 @@ class Unknown:
     Args:
         leader: name of the leading cause.
         fit: its fit.
-        changes: what each of ``K`` references changes at one posterior standard deviation of its amplitude: parameter -> value.
+        changes: what each of ``K`` references changes at one standard deviation of its amplitude: parameter -> value.
         shifts: ``K x d`` tensor, controls of the leader that are moved with it.
-        means: ``K`` tensor, posterior mean of each amplitude over its standard deviation.
         weights: ``K`` tensor, probabilities of the references, summing to one.
     """
 
@@ -81,7 +81,6 @@ class Unknown:
     fit: ModelFit
     changes: tuple[dict[str, float], ...]
     shifts: Tensor
-    means: Tensor
     weights: Tensor
 
     def signals(self, shot: Shot) -> tuple[Tensor, "Unknown"]:
@@ -95,7 +94,7 @@ class Unknown:
         good = torch.isfinite(found).flatten(1).all(1)
         kept = tuple(change for change, ok in zip(self.changes, good.tolist(), strict=True) if ok)
         weights = self.weights[good] / self.weights[good].sum().clamp_min(1e-300)
-        return found[good], replace(self, changes=kept, shifts=self.shifts[good], means=self.means[good], weights=weights)
+        return found[good], replace(self, changes=kept, shifts=self.shifts[good], weights=weights)
 
 
 def unknown_like(leader: str, fit: ModelFit, left: Adequacy) -> Unknown | None:
@@ -121,19 +120,17 @@ def unknown_like(leader: str, fit: ModelFit, left: Adequacy) -> Unknown | None:
     rows = torch.stack([row for _, row, _ in references])
     beside = line.project(rows)
     square = beside.square().sum(1)
-    sd = (1.0 + square).rsqrt()
-    means = (beside @ line.residual) * sd  # over the standard deviation: l.r sd^2 / sd
-    weights = torch.tensor([w for *_, w in references], dtype=torch.float64).log() + sd.log() + 0.5 * means.square()
-    weights = torch.where(square > _LEFT * rows.square().sum(1).clamp_min(1e-300), weights, -math.inf)
-    kept = torch.nonzero(torch.isfinite(weights) & (weights > weights.max() + math.log(_LIGHT)))[:, 0]
+    kept = torch.nonzero(square > _LEFT * rows.square().sum(1).clamp_min(1e-300))[:, 0]
     if not len(kept):
         return None
+    sd = (1.0 + square / LIKE**2).rsqrt()
+    weights = torch.tensor([w for *_, w in references], dtype=torch.float64)[kept]
     changes = []
     for i in kept.tolist():
         (name, amplitude), *shape = references[i][0].items()
         changes.append({name: amplitude * float(sd[i]), **dict(shape)})
     shifts = (rows @ line.to_shift.mT)[:, : len(fit.mean)] * sd[:, None]
-    return Unknown(leader, fit, tuple(changes), shifts[kept], means[kept], torch.softmax(weights[kept], 0))
+    return Unknown(leader, fit, tuple(changes), shifts[kept], weights / weights.sum())
 
 
 @dataclass(frozen=True)
@@ -179,14 +176,13 @@ def forecast(
         unknown: what stands for ``"other"``.
     """
     names, source = list(causes), generator(seed)
-    parts = tuple((unknown.fit if n == OTHER and unknown else fits[n]).posterior for n in names)
     log_prior = torch.tensor(list(causes.values()), dtype=torch.float64).log()
-    shot = Shot(Belief(parts, log_prior), design[None], simulator, plan)
-    drawn = draw(shot, cloud_controls(shot, draws, source), source)
+    shots = [_shot((unknown.fit if n == OTHER and unknown else fits[n]).posterior, design, simulator, plan) for n in names]
+    drawn = _together([draw(shot, cloud_controls(shot, draws, source), source) for shot in shots])
     if min(map(len, drawn.parts)) < 2:
         failed = summarise([Terms(1.0, torch.zeros(0), torch.zeros(0), torch.arange(draws))])
         return Forecast(failed, _now(causes), math.nan, math.nan, {})
-    logs = _evidences(names, drawn, shot, unknown if OTHER in names else None, source)
+    logs = _evidences(names, drawn, shots, unknown if OTHER in names else None, source)
     posterior = torch.log_softmax(logs + log_prior, dim=1)
     terms, after, variance, by_cause = [], 0.0, 0.0, {}
     for i, (name, rows) in enumerate(zip(names, drawn.rows, strict=True)):
@@ -198,13 +194,27 @@ def forecast(
     return Forecast(summarise(terms), _now(causes), after, math.sqrt(variance), by_cause)
 
 
+def _shot(part: ModelBelief, design: Tensor, simulator: Simulator, plan: Plan) -> Shot:
+    return Shot(Belief((part,), torch.zeros(1, dtype=torch.float64)), design[None], simulator, plan)
+
+
+def _together(every: Sequence[Drawn]) -> Drawn:
+    """Draws of one model each as those of several; one model may occur twice, which a belief forbids."""
+    ends = torch.tensor([0, *(len(d.data) for d in every)]).cumsum(0).tolist()
+    data = Data(torch.cat([d.data.radius for d in every]), torch.cat([d.data.window for d in every]))
+    parts, controls, orders = zip(*((d.parts[0], d.controls[0], d.orders[0]) for d in every), strict=True)
+    return Drawn(parts, controls, orders, data, tuple(slice(a, b) for a, b in pairwise(ends)))
+
+
 def _now(causes: Mapping[str, float]) -> float:
     return sum(p**2 for p in causes.values())
 
 
-def _evidences(names: list[str], drawn: Drawn, shot: Shot, unknown: Unknown | None, source: torch.Generator) -> Tensor:
+def _evidences(
+    names: list[str], drawn: Drawn, shots: Sequence[Shot], unknown: Unknown | None, source: torch.Generator
+) -> Tensor:
     """``n x C`` log evidences of all data under all causes; the data of an unknown effect are made here."""
-    data, signals = drawn.data, torch.zeros(0)
+    data, signals, shot = drawn.data, torch.zeros(0), shots[0]
     if unknown is not None:
         signals, unknown = unknown.signals(shot)
         if not len(signals):  # nothing stands for it: it shows as the leader does
@@ -212,7 +222,7 @@ def _evidences(names: list[str], drawn: Drawn, shot: Shot, unknown: Unknown | No
         rows = drawn.rows[names.index(OTHER)]
         count = rows.stop - rows.start
         which = torch.multinomial(unknown.weights, count, replacement=True, generator=source)
-        size = unknown.means[which] + torch.randn(count, generator=source, dtype=torch.float64)
+        size = torch.randn(count, generator=source, dtype=torch.float64)
         radius = data.radius.clone()
         radius[rows] += size[:, None, None] * signals[which]
         data = Data(radius, data.window)
@@ -226,7 +236,7 @@ def _evidences(names: list[str], drawn: Drawn, shot: Shot, unknown: Unknown | No
     for i, name in enumerate(names):
         if name == OTHER:
             continue
-        at = _nearest(data, own, drawn, i, shot)
+        at = _nearest(data, own, drawn, i, shots[i])
         columns[name] = infer(data, at, shot.plan).log_evidence
         if unknown is not None and name == unknown.leader:
             columns[OTHER] = _of_unknown(data, at, shot, signals, unknown)
@@ -238,7 +248,7 @@ def _nearest(data: Data, own: Tensor, drawn: Drawn, cause: int, shot: Shot) -> R
     gels, rows = drawn.parts[cause], drawn.rows[cause]
     others = drawn.outside(cause)
     start, _ = best_starts(data[others], gels, shot)
-    part = shot.belief.models[cause]
+    part = shot.belief.models[0]
     floor = own[others] - _BEHIND
     found = refine(data[others], gels[start], shot, part, _REFINEMENTS, close=_CLOSE, both_lengths=False, floor=floor)
     every = gels[torch.zeros(len(data), dtype=torch.long)]
@@ -249,11 +259,11 @@ def _of_unknown(data: Data, at: Response, shot: Shot, signals: Tensor, unknown: 
     """Log evidence under an unknown effect: the leader's model at a gel, with the amplitude of each reference free."""
     zero = at.controls.new_zeros(len(at), 1)
     logs = []
-    for signal, mean in zip(signals, unknown.means, strict=True):
+    for signal in signals:
         column = signal.expand(len(at), -1, -1)[..., None]
         beside = Response(
             torch.cat((at.controls, zero), 1),
-            at.radius + mean * signal,
+            at.radius,
             torch.cat((at.by_gel, column), -1),
             at.by_nuisance,
         )
@@ -266,6 +276,5 @@ def _silent(unknown: Unknown) -> Unknown:
         unknown,
         changes=({},),
         shifts=unknown.shifts.new_zeros(1, len(unknown.fit.mean)),
-        means=torch.zeros(1).double(),
         weights=torch.ones(1).double(),
     )

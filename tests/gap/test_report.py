@@ -275,7 +275,7 @@ def read(page: Path) -> _Reader:
 def test_that_the_page_is_one_file_with_every_figure_decodable_and_described(page):
     reader = read(page)
     assert all(link.startswith("data:") for link in reader.links)
-    assert len(reader.images) == 11
+    assert len(reader.images) == 12
     for image in reader.images:
         pixels = imread(io.BytesIO(base64.b64decode(image["src"].removeprefix("data:image/png;base64,"))))
         assert min(pixels.shape[:2]) > 100
@@ -322,7 +322,7 @@ def test_that_a_browser_draws_every_figure_without_a_complaint(page, tmp_path):
     ]
     done = subprocess.run([BROWSER, *options, "--dump-dom", copy.as_uri()], capture_output=True, text=True, timeout=120)
     widths = re.findall(r'data-width="(\d+)"', done.stdout)
-    assert len(widths) == 11
+    assert len(widths) == 12
     assert all(int(width) > 100 for width in widths)
     assert "CONSOLE" not in done.stderr
 
