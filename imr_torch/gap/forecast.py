@@ -6,7 +6,8 @@ effect that looks like the leading one is the leading one with a reference effec
 of the state), each effect as likely as the next. Beside the leader's fit a reference of typical size changes the present data
 by ``l`` standard deviations, all that was fitted projected out. An unknown effect is no reference exactly, so its size is not
 learnt from the data as theirs would be; but it cannot leave much more than ``m`` = 3 (:data:`imr_torch.gap.lookalike.LIKE`), or
-it would not look like the leader. Its amplitude has mean 0 and variance ``1 / (1 + (l / m)^2)``, in units of the typical size.
+it would not look like the leader. Its amplitude has mean 0 and variance ``1 / (1 + (l / m)^2)``, in units of the typical size;
+a law of the state, which has none, may change the data by some 30 standard deviations before the gel is refitted.
 """
 
 import math
@@ -24,6 +25,7 @@ from imr_torch.design.gain import Terms, summarise
 from imr_torch.design.likelihood import Data, infer
 from imr_torch.design.refine import best_starts, refine
 from imr_torch.design.response import Response, Shot
+from imr_torch.errors import ConvergenceError
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.lookalike import LIKE
 from imr_torch.gap.score import STATE_LAW, law_steps
@@ -34,6 +36,8 @@ from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 
 _REFINEMENTS, _CLOSE, _BEHIND = 3, 0.5, 30.0  # as in the estimator of the gain about the model
+_LAWS = {name for step in law_steps() for name in step}
+_LARGEST = 30.0  # sd that a law of the state changes the data by, at most; it has no typical size
 _LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones
 
 
@@ -84,7 +88,11 @@ class Unknown:
     weights: Tensor
 
     def signals(self, shot: Shot) -> tuple[Tensor, "Unknown"]:
-        """``K x q x T`` changes of the curves at a shot, and the references whose bubbles could be simulated."""
+        """``K x q x T`` changes of the curves at a shot, and the references whose bubbles could be simulated.
+
+        Raises:
+            ConvergenceError: if none could.
+        """
         parameters = self.fit.parameters(torch.cat((self.fit.mean[None], self.fit.mean - self.shifts))).clone()
         for row, change in zip(parameters[1:], self.changes, strict=True):
             for name, value in change.items():
@@ -92,8 +100,10 @@ class Unknown:
         seen = predict(shot.simulator, parameters, shot.film)
         found = seen[1:] - seen[:1]
         good = torch.isfinite(found).flatten(1).all(1)
+        if not bool(good.any()):
+            raise ConvergenceError(f"No effect beside {self.leader} could be simulated at {shot.designs.tolist()}.")
         kept = tuple(change for change, ok in zip(self.changes, good.tolist(), strict=True) if ok)
-        weights = self.weights[good] / self.weights[good].sum().clamp_min(1e-300)
+        weights = self.weights[good] / self.weights[good].sum()
         return found[good], replace(self, changes=kept, shifts=self.shifts[good], weights=weights)
 
 
@@ -123,7 +133,9 @@ def unknown_like(leader: str, fit: ModelFit, left: Adequacy) -> Unknown | None:
     kept = torch.nonzero(square > _LEFT * rows.square().sum(1).clamp_min(1e-300))[:, 0]
     if not len(kept):
         return None
-    sd = (1.0 + square / LIKE**2).rsqrt()
+    laws = torch.tensor([set(step) <= _LAWS for step, *_ in references])
+    typical = torch.where(laws, rows.square().sum(1) / _LARGEST**2, 1.0)
+    sd = (typical + square / LIKE**2).rsqrt()
     weights = torch.tensor([w for *_, w in references], dtype=torch.float64)[kept]
     changes = []
     for i in kept.tolist():
@@ -217,8 +229,6 @@ def _evidences(
     data, signals, shot = drawn.data, torch.zeros(0), shots[0]
     if unknown is not None:
         signals, unknown = unknown.signals(shot)
-        if not len(signals):  # nothing stands for it: it shows as the leader does
-            signals, unknown = torch.zeros(1, *data.radius.shape[1:]).double(), _silent(unknown)
         rows = drawn.rows[names.index(OTHER)]
         count = rows.stop - rows.start
         which = torch.multinomial(unknown.weights, count, replacement=True, generator=source)
@@ -269,12 +279,3 @@ def _of_unknown(data: Data, at: Response, shot: Shot, signals: Tensor, unknown: 
         )
         logs.append(infer(data, beside, shot.plan).log_evidence)
     return torch.logsumexp(torch.stack(logs) + unknown.weights.log()[:, None], dim=0)
-
-
-def _silent(unknown: Unknown) -> Unknown:
-    return replace(
-        unknown,
-        changes=({},),
-        shifts=unknown.shifts.new_zeros(1, len(unknown.fit.mean)),
-        weights=torch.ones(1).double(),
-    )

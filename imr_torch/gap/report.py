@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.design import Plan
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.parts import Parts
@@ -417,13 +418,18 @@ def _next(report: GapReport, parts: Parts) -> tuple[str, ...]:
             f"The expected probability of the true cause there is {found.after:.2f} +- {found.after_error:.2f} after the shot, "
             f"and {found.now:.2f} now." + ("" if found.helps else " That is within its error: no design helps.")
         )
-        plan = found.plan
-        errors = ", ".join(f"{100.0 * sd:.2g} %" for sd in plan.nuisance.sds().tolist())
-        lines.append(
-            f"Planned as these data were observed (median of their experiments): {plan.repeats} repeats, {len(plan.times)} "
-            f"frames to t* = {float(plan.times[-1]):.2f}, their noise, and errors of Rmax, time zero and R_inf of {errors}."
-        )
+        lines.append(_planned(found.plan))
     return tuple(lines) or ("Not computed, because there are no causes to tell apart.",)
+
+
+def _planned(plan: Plan) -> str:
+    """How the next shot is taken to be observed."""
+    own = plan.nuisance
+    errors = f"{100.0 * own.max_radius:.2g} % of Rmax, {own.time_zero:.2g} of time zero in t*, {100.0 * own.rest_radius:.2g} %"
+    return (
+        f"Planned as these data were observed (median over their experiments): repeats: {plan.repeats}, frames: "
+        f"{len(plan.times)} to t* = {float(plan.times[-1]):.2f}, the same noise; errors: {errors} of R_inf."
+    )
 
 
 def _not_tested(report: GapReport, parts: Parts) -> tuple[str, ...]:
