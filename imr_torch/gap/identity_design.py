@@ -158,6 +158,8 @@ def identity_design(
     settings = SearchSettings(child(seed, "surrogate"), initial=2)
     best = settings.finish(space, designs, found, None).recommendation.design
     ahead = at(best, _FINAL * draws, "best")
+    if ahead.gain.failed:
+        raise ConvergenceError(f"Too many bubbles failed at the best design {best.tolist()}; narrow the space.")
     return NextDesign(
         design=best,
         gain=ahead.gain.value,

@@ -6,7 +6,7 @@ A part that was not run is None, and the report lists it as not run.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imr_torch.errors import ConvergenceError
+from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.acts import WhereItActs, where_it_acts
 from imr_torch.gap.attribute import Attribution, Inquiry
 from imr_torch.gap.diagnose import GapReport
@@ -164,6 +164,8 @@ def _next(report: GapReport, simulator: Simulator, seed: int, progress: Progress
     own, plan = child(seed, "next"), plan_of(report.batch)
     try:
         return identity_design(found.fits, found.posterior, simulator, seed=own, plan=plan, unknown=unknown, progress=progress)
+    except InputDataError:
+        return None  # fewer than two causes have a fit
     except ConvergenceError:
         return None  # bubbles that cannot be simulated elsewhere take nothing from what was found here
 

@@ -416,7 +416,7 @@ def _next(report: GapReport, parts: Parts) -> tuple[str, ...]:
         )
         lines.append(
             f"The expected probability of the true cause there is {found.after:.2f} +- {found.after_error:.2f} after the shot, "
-            f"and {found.now:.2f} now." + ("" if found.helps else " That is within its error: no design helps.")
+            f"and {found.now:.2f} now." + ("" if found.helps else " The rise is within two standard errors: no design helps.")
         )
         lines.append(_planned(found.plan))
     return tuple(lines) or ("Not computed, because there are no causes to tell apart.",)
