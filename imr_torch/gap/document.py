@@ -172,4 +172,14 @@ def _drawn(times: Tensor, radius: Tensor) -> dict[str, list[float | None]]:
 def _design(found: NextDesign) -> dict[str, Any]:
     """The next design, its gain in nats and what it tells apart."""
     weber, rest = found.design.tolist()
-    return {"We": weber, "R_inf*": rest, "gain": found.gain, "gain_sd": found.error, "tells_apart": list(found.causes)}
+    return {
+        "We": weber,
+        "R_inf*": rest,
+        "gain": found.gain,
+        "gain_sd": found.error,
+        "tells_apart": list(found.causes),
+        "p_truth_now": found.now,
+        "p_truth_after": found.after,
+        "p_truth_after_sd": found.after_error,
+        "helps": found.helps,
+    }

@@ -1,34 +1,33 @@
 """What next? The design that best tells the remaining causes apart.
 
-The causes left by a diagnosis are the models of one belief: each a fit with its posterior, weighed by its probability. The
-information that an experiment is expected to give about *which* of them is true, ``I(cause; y)``, is the part of the expected
-information gain that is about the model (:mod:`imr_torch.design.eig`), averaged over posterior draws of each cause: at one
-nominal value the best design is that of one gel, which need not be this one. It never exceeds the entropy of the causes.
+The causes left by a diagnosis are the models of one belief: each a fit with its posterior, weighed by its probability, and an
+unknown effect that looks like the leader (:mod:`imr_torch.gap.forecast`). The information that an experiment is expected to
+give about *which* of them is true, ``I(cause; y)``, is the expected log Bayes factor of the truth over the mixture of all,
+averaged over posterior draws of each cause: at one nominal value the best design is that of one gel, which need not be this
+one. It never exceeds the entropy of the causes. What it means is said by the expected probability of the truth.
 """
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.design import (
-    DesignSpace,
-    ExpectedInformationGain,
-    InformationGain,
-    Laplace,
-    Plan,
-    SearchSettings,
-)
+from imr_torch.design import DesignSpace, InformationGain, Plan, SearchSettings
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.material import LIBRARY, Belief
+from imr_torch.gap.forecast import Forecast, Unknown, forecast
+from imr_torch.gap.verdict import OTHER
+from imr_torch.material import LIBRARY
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 _LEFT = 0.02  # a cause less probable than this is not worth an experiment
+_FLOOR = 1e-3  # probability with which a less probable cause is planned for, where two are needed
+_FINAL = 4  # times the draws at the design that is returned
+_SURE = 2.0  # standard errors that a rise of the probability must exceed to count
 
 
 @dataclass(frozen=True)
@@ -44,6 +43,11 @@ class NextDesign:
         grid: ``n x 2`` tensor of designs that were evaluated.
         gains: ``n`` tensor, nats; NaN where too many bubbles failed.
         errors: ``n`` tensor.
+        plan: how the shot is taken to be observed.
+        now: mean probability of the truth now, over causes drawn from ``causes``.
+        after: the same after the shot.
+        after_error: its Monte Carlo standard error.
+        by_cause: cause -> its expected probability after the shot, where it is the truth.
     """
 
     design: Tensor
@@ -54,6 +58,16 @@ class NextDesign:
     grid: Tensor
     gains: Tensor
     errors: Tensor
+    plan: Plan = field(default_factory=Plan)
+    now: float = math.nan
+    after: float = math.nan
+    after_error: float = math.nan
+    by_cause: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def helps(self) -> bool:
+        """Whether the expected probability of the truth rises by more than two standard errors."""
+        return self.after - self.now > _SURE * self.after_error
 
 
 def remaining_causes(
@@ -81,7 +95,7 @@ def remaining_causes(
         raise InputDataError(
             f"{len(chosen)} causes have a fit ({', '.join(chosen.values()) or 'none'}); two of different families are needed."
         )
-    weights = {name: max(posterior[name], 1e-12) for name in chosen.values()}
+    weights = {name: max(posterior[name], _FLOOR) for name in chosen.values()}
     return {name: weight / sum(weights.values()) for name, weight in weights.items()}
 
 
@@ -94,7 +108,8 @@ def identity_design(
     plan: Plan | None = None,
     space: DesignSpace | None = None,
     grid: tuple[int, int] = (4, 4),
-    draws: int = 32,
+    draws: int = 16,
+    unknown: Unknown | None = None,
     progress: Progress | None = None,
 ) -> NextDesign:
     """The design that best tells the remaining causes apart.
@@ -110,7 +125,8 @@ def identity_design(
         plan: how the next experiment will be observed.
         space: designs that can be shot.
         grid: designs along We and R_inf*.
-        draws: posterior draws of each cause.
+        draws: data made of each cause at each design; at the one returned four times as many.
+        unknown: an unknown effect to be told from the leader, where ``"other"`` is probable enough.
         progress: called with one line per design.
 
     Raises:
@@ -120,17 +136,18 @@ def identity_design(
     if min(grid) < 2:
         raise InputDataError(f"identity_design needs a grid of at least 2 x 2 designs, got {grid}.")
     causes = remaining_causes(fits, posterior)
-    parts = tuple(fits[name].posterior for name in causes)
-    belief = Belief(parts, torch.tensor(list(causes.values()), dtype=torch.float64).log())
-    space = space or DesignSpace()
+    if unknown is not None and unknown.leader in causes and posterior.get(OTHER, 0.0) >= _LEFT:
+        odds = posterior[OTHER] / sum(max(posterior[name], _FLOOR) for name in causes)
+        causes = {name: p / (1.0 + odds) for name, p in (causes | {OTHER: odds}).items()}
+    space, plan = space or DesignSpace(), plan or Plan()
     designs = _grid(space, grid)
 
-    acquisition = ExpectedInformationGain(
-        belief, simulator, Laplace(draws=draws, rivals=draws), target="model", plan=plan, space=space
-    )
+    def at(design: Tensor, draws: int, stage: str) -> Forecast:
+        return forecast(causes, fits, design, simulator, plan, draws=draws, seed=child(seed, stage), unknown=unknown)
+
     found: list[InformationGain] = []
     for design in designs:
-        gain = acquisition.estimate(design[None], seed=child(seed, "grid"))
+        gain = at(design, draws, "grid").gain
         found.append(gain)
         if progress:
             we, rinf_star = design.tolist()
@@ -140,16 +157,23 @@ def identity_design(
         raise ConvergenceError(f"Too many bubbles failed at {failed} of {len(designs)} designs; narrow the space.")
     settings = SearchSettings(child(seed, "surrogate"), initial=2)
     best = settings.finish(space, designs, found, None).recommendation.design
-    gain = acquisition.estimate(best[None], seed=child(seed, "best"))
+    ahead = at(best, _FINAL * draws, "best")
+    if ahead.gain.failed:
+        raise ConvergenceError(f"Too many bubbles failed at the best design {best.tolist()}; narrow the space.")
     return NextDesign(
         design=best,
-        gain=gain.value,
-        error=math.sqrt(gain.variance),
+        gain=ahead.gain.value,
+        error=math.sqrt(ahead.gain.variance),
         entropy=-sum(p * math.log(p) for p in causes.values()),
         causes=causes,
         grid=designs,
         gains=torch.tensor([g.value for g in found], dtype=torch.float64),
         errors=torch.tensor([g.variance for g in found], dtype=torch.float64).sqrt(),
+        plan=plan,
+        now=ahead.now,
+        after=ahead.after,
+        after_error=ahead.error,
+        by_cause=ahead.by_cause,
     )
 
 

@@ -6,10 +6,11 @@ A part that was not run is None, and the report lists it as not run.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imr_torch.errors import ConvergenceError
+from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.acts import WhereItActs, where_it_acts
 from imr_torch.gap.attribute import Attribution, Inquiry
 from imr_torch.gap.diagnose import GapReport
+from imr_torch.gap.forecast import plan_of, unknown_like
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign, identity_design
 from imr_torch.gap.ladder import Ladder, climb, with_held_out
@@ -17,6 +18,7 @@ from imr_torch.gap.latent import LatentPressure, latent_pressure
 from imr_torch.gap.locate import ByExperiment, Onset, by_experiment, onset
 from imr_torch.gap.scatter import GelScatter, gel_scatter
 from imr_torch.gap.shrinkage import Shrinkage, hold_out, judge
+from imr_torch.gap.verdict import OTHER
 from imr_torch.gap.windows import MovingWindows, moving_windows
 from imr_torch.material import LIBRARY
 from imr_torch.observe import Experiment, ExperimentBatch
@@ -26,6 +28,7 @@ from imr_torch.types import Progress
 
 MOST = 2
 """Effects that a ladder adds, at most."""
+_SURE = 0.95  # probability of the leading cause from which on no shot is designed
 
 
 @dataclass(frozen=True)
@@ -153,15 +156,16 @@ def _closed(
 
 
 def _next(report: GapReport, simulator: Simulator, seed: int, progress: Progress | None) -> NextDesign | None:
-    """The design that tells causes apart, where more than one of another class is in the credible set."""
+    """The design that tells causes apart, by the data's own plan, where the leading one is not sure."""
     found = report.attribution
-    if found is None:
+    if found is None or report.verdict == OTHER or found.posterior.get(found.winner, 0.0) > _SURE:
         return None
-    open_ = {LIBRARY[name.split("+")[-1]].family for name in found.credible_set() if name in found.fits and name != "none"}
-    if len(open_) < 2:
-        return None
+    unknown = unknown_like(found.winner, found.fits[found.winner], found.left) if found.left is not None else None
+    own, plan = child(seed, "next"), plan_of(report.batch)
     try:
-        return identity_design(found.fits, found.posterior, simulator, seed=child(seed, "next"), progress=progress)
+        return identity_design(found.fits, found.posterior, simulator, seed=own, plan=plan, unknown=unknown, progress=progress)
+    except InputDataError:
+        return None  # fewer than two causes have a fit
     except ConvergenceError:
         return None  # bubbles that cannot be simulated elsewhere take nothing from what was found here
 

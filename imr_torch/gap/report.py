@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.design import Plan
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.parts import Parts
@@ -127,7 +128,7 @@ def next_step(report: GapReport, parts: Parts | None = None) -> str:
         return (
             "Use the base model with its intervals; shoot more repeats if an effect that would be missed here matters to you."
         )
-    if (ahead := parts.next_design) is not None:
+    if (ahead := parts.next_design) is not None and ahead.helps:
         weber, rest = ahead.design.tolist()
         return f"Shoot We = {weber:.0f}, R_inf* = {rest:.3f} next: there {' and '.join(ahead.causes)} differ most."
     if report.verdict == "effect":
@@ -413,7 +414,22 @@ def _next(report: GapReport, parts: Parts) -> tuple[str, ...]:
             f"We = {weber:.0f}, R_inf* = {rest:.3f} tells {', '.join(found.causes)} apart best: {found.gain:.2f} +- "
             f"{found.error:.2f} nats of the {found.entropy:.2f} still open between them."
         )
+        lines.append(
+            f"The expected probability of the true cause there is {found.after:.2f} +- {found.after_error:.2f} after the shot, "
+            f"and {found.now:.2f} now." + ("" if found.helps else " The rise is within two standard errors: no design helps.")
+        )
+        lines.append(_planned(found.plan))
     return tuple(lines) or ("Not computed, because there are no causes to tell apart.",)
+
+
+def _planned(plan: Plan) -> str:
+    """How the next shot is taken to be observed."""
+    own = plan.nuisance
+    errors = f"{100.0 * own.max_radius:.2g} % of Rmax, {own.time_zero:.2g} of time zero in t*, {100.0 * own.rest_radius:.2g} %"
+    return (
+        f"Planned as these data were observed (median over their experiments): repeats: {plan.repeats}, frames: "
+        f"{len(plan.times)} to t* = {float(plan.times[-1]):.2f}, the same noise; errors: {errors} of R_inf."
+    )
 
 
 def _not_tested(report: GapReport, parts: Parts) -> tuple[str, ...]:

@@ -156,7 +156,7 @@ def generic_rows(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, li
     """Whitened rows that stand for no effect: a law of the state, pulses, drifting parameters, distorted output."""
     experiments, times = len(batch.experiments), batch.times
     last = float(times[batch.mask].max())
-    changes = [*pulse_changes(batch).values(), *({name: step} for name, step in _LAWS)]
+    changes = [*pulse_changes(batch).values(), *law_steps()]
     rows = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num())
     pulses, laws = rows[: -len(_LAWS)], rows[-len(_LAWS) :]
     data = line.fitted.shape[0] - line.fitted.shape[1]
@@ -174,6 +174,11 @@ def generic_rows(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, li
         found["parameters between designs"] = (masks[:, None] * gel).flatten(0, 1)
         found["pulses in single experiments"] = (masks[:, None] * pulses).flatten(0, 1)
     return found
+
+
+def law_steps() -> list[dict[str, float]]:
+    """Parameter -> value of each row of the block ``STATE_LAW``, in order."""
+    return [{name: step} for name, step in _LAWS]
 
 
 def pulse_changes(batch: ExperimentBatch) -> dict[float, dict[str, float]]:

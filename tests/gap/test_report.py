@@ -16,6 +16,7 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.image import imread
 
+import imr_torch.gap.parts
 from imr_torch.gap import GapReport, Parts, describe, diagnose, examine, library, plots, to_json, write_page
 from imr_torch.gap.report import repeats_needed, sections
 from imr_torch.material import PARAMETERS
@@ -167,6 +168,25 @@ def test_that_a_diagnosis_ends_with_one_sentence_on_what_to_do(found, changes, w
     assert last[0] == "What to do next"
     assert words in last[1]
     assert last[1].count(". ") == 0
+
+
+def test_that_the_next_shot_is_planned_as_the_data_were_and_says_what_it_is_worth(found, monkeypatch):
+    report, parts = found
+    assert parts.next_design is None  # the cause is sure
+    monkeypatch.setattr(imr_torch.gap.parts, "_SURE", 1.0)
+    ahead = imr_torch.gap.parts._next(report, PolytropicSimulator(), 0, None)
+    parts = replace(parts, next_design=ahead)
+    assert ahead is not None
+    assert (ahead.plan.repeats, len(ahead.plan.times), float(ahead.plan.times[-1])) == (10, 53, pytest.approx(2.6))
+    document = to_json(report, parts)["next_design"]
+    assert document["p_truth_now"] == ahead.now
+    assert document["p_truth_after"] == ahead.after
+    text = describe(report, parts)
+    assert f"{ahead.after:.2f} +- {ahead.after_error:.2f} after the shot" in text
+    assert "repeats: 10, frames: 53 to t* = 2.60" in text
+    useless = replace(parts, next_design=replace(ahead, after=ahead.now + ahead.after_error))
+    assert "no design helps" in describe(report, useless)
+    assert "Shoot We" not in describe(report, useless)
 
 
 def test_that_sections_with_nothing_to_say_are_folded(found):
