@@ -5,7 +5,8 @@ curve ``y`` of ``n`` repeats, single-shot noise ``sigma`` and held-out predictio
 
     D = mean((y - f)^2 / sigma^2 - 1/n),        S = 1 - D_effect / D_base,
 
-so that ``D`` is a squared bias without noise and ``S`` the part of it that is gone. Beside it stand the best rival's ``S`` and
+so that ``D`` is a squared bias without noise and ``S`` the part of it that is gone. Where the residuals of a phase are smaller
+than the noise law allows, ``sigma`` counts as what they leave room for (:func:`imr_torch.gap.phases.noise_shares`). Beside it stand the best rival's ``S`` and
 the difference in held-out log predictive density (Vehtari, Gelman & Gabry, Stat. Comput. 27, 2017, for its standard error).
 """
 
@@ -21,6 +22,7 @@ from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
 from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
 from imr_torch.gap.linear import linearise
+from imr_torch.gap.phases import noise_shares, phase_numbers
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
@@ -50,6 +52,7 @@ class HeldOut:
         converged: whether the training fit did.
         by_training: ``n_t x d`` tensor, change of the prediction by one standard deviation of each direction of the training
             fit's posterior; it is what other training data would have given.
+        phase: ``n_t`` integer tensor, number of the phase of each frame; None for a design of one phase.
     """
 
     residual: Tensor
@@ -59,6 +62,7 @@ class HeldOut:
     counts: Tensor
     converged: bool
     by_training: Tensor
+    phase: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -321,7 +325,8 @@ def held_out(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Hel
     log_scale = chol.diagonal().log() + line.sd[0].log() - 0.5 * (counts / (2.0 * math.pi)).log()
     density = -0.5 * innovation.square() - log_scale
     square, sound = float(innovation.square().sum()), fit.certificate.converged
-    return HeldOut(residual, slopes[:, size:], density, square, counts, sound, slopes[:, :size] @ fit.chol)
+    phase = phase_numbers(batch.times, batch.mean, batch.mask)[0]
+    return HeldOut(residual, slopes[:, size:], density, square, counts, sound, slopes[:, :size] @ fit.chol, phase)
 
 
 def reductions(
@@ -337,10 +342,12 @@ def reductions(
     source = generator(child(seed, "bootstrap"))
     count = sum(len(d.residual) for d in held[_NONE])
     noise = [torch.randn(_BOOTSTRAP, len(d.residual), generator=source, dtype=torch.float64) for d in held[_NONE]]
+    quiet = [_noise_sds([held[name][i] for name in held]) for i in range(len(noise))]
+    noise = [own * sds for own, sds in zip(noise, quiet, strict=True)]
     weights = _design_weights(len(noise), source)
     gaps, drawn = {}, {}
     for name, designs in held.items():
-        expected = [_expected(d) / count for d in designs]
+        expected = [_expected(d, sds) / count for d, sds in zip(designs, quiet, strict=True)]
         observed = [float((d.residual.square() / d.counts).sum()) / count for d in designs]
         gaps[name] = sum(observed) - sum(expected)
         trained = [float((_less_nuisances(d, d.by_training.mT).square() / d.counts).sum()) / count for d in designs]
@@ -399,10 +406,16 @@ def _less_nuisances(design: HeldOut, rows: Tensor) -> Tensor:
     return rows - torch.linalg.solve(precision, slopes.mT @ rows.mT).mT @ slopes.mT
 
 
-def _expected(design: HeldOut) -> float:
+def _noise_sds(design: Sequence[HeldOut]) -> Tensor:
+    """Noise of each frame of a design, over that of the law, from the residuals of all hypotheses."""
+    first = design[0]
+    phase = torch.zeros(len(first.residual), dtype=torch.long) if first.phase is None else first.phase
+    return noise_shares([own.residual.square() for own in design], phase).sqrt()
+
+
+def _expected(design: HeldOut, sds: Tensor) -> float:
     """Expected square of what the fit of the nuisances leaves of noise, in single-shot variances."""
-    unit = torch.eye(len(design.residual), dtype=torch.float64)
-    return float((_less_nuisances(design, unit).square() / design.counts).sum())
+    return float((_less_nuisances(design, torch.diag(sds)).square() / design.counts).sum())
 
 
 def compare(held: Mapping[str, Sequence[HeldOut]], effect: str, other: str) -> Comparison:
