@@ -111,7 +111,7 @@ def check_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
     """
     started = time.process_time()
     try:
-        noise = noise_of_traces(batch.experiments)
+        noise = noise_of_traces(batch.curves)
         batch = ExperimentBatch(batch.experiments, noise)
     except InputDataError as error:
         return FitTest(fit.model, None, reason=str(error))
