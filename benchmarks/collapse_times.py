@@ -4,11 +4,12 @@
   python benchmarks/collapse_times.py run --gels 200 --scatter 0 --fixed 8000,0.1 --json collapse_fixed.jsonl
   python benchmarks/collapse_times.py table --json collapse.jsonl
 
-Eight shots of one NHKV gel by polytropic bubbles, Rmax 200 to 400 um (.3 % error), stretch 5 to 9 (1 %), timing error .001 in t*.
+Eight shots of one NHKV gel by polytropic bubbles, Rmax 200 to 400 um (.3 % error), stretch 5 to 9 (1 %), timing error .001.
 The gel is drawn from the wide prior, or `--fixed` at G, mu; `--scatter` adds a further error of the times, which `characterize`
 estimates and the quadrature integrates over. The quadrature has 901 x 901 gels (361 x 361
-with a further error), by splines through 121 x 121 simulated ones, and linear nuisances. Where a prior is right, 90 % intervals hold 90 % of gels drawn from it, by `characterize` as by
-quadrature; at a fixed gel no Bayesian interval need, and the quadrature says how many an exact one holds.
+with a further error), by splines through 121 x 121 simulated ones, and linear nuisances. Where a prior is right, 90 % intervals
+hold 90 % of gels drawn from it, by `characterize` as by quadrature; at a fixed gel no Bayesian interval need, and the
+quadrature says how many an exact one holds.
 """
 
 import argparse

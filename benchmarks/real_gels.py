@@ -6,17 +6,17 @@
 FOLDER holds a CSV file a gel and a JSON file beside it. `run` appends a line a set and task, and passes over what has a line.
 Of each set at most `--max-curves` are taken (default 4), evenly spread over those that can be fitted and whose tail does not
 grow again. The medium is stated (`SETS`); models with heat and vapour transport. Tasks: `characterize` (Newtonian, NHKV and
-generalised QKV), `diagnose` (the ladder on every second curve, at most four effects, judged on the other curves, which no fit
-saw) and `other half` (the other curves, for their first effect only). Two curves have two halves of one, one curve has
-none and its ladder is judged in sample. `table` writes one page, with the controls (`real_gels_controls.py`) and a figure a set
-(`real_gels_page.py`).
+generalised QKV), `diagnose` (the ladder on every second curve, at most four effects, and a gel of its own for each curve,
+judged on the other curves, which no fit saw) and `other half` (the other curves, for their first effect only). Two curves
+have two halves of one, one curve has none and its ladder is judged in sample. `table` writes one page, with the controls
+(`real_gels_controls.py`) and a figure a set (`real_gels_page.py`).
 """
 
 import argparse
 import json
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +28,11 @@ from imr_torch.assimilate import SearchOptions
 from imr_torch.characterize import medium_of
 from imr_torch.errors import ImrError
 from imr_torch.gap import Ladder, diagnose, library, noise_of_traces
-from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.document import ladder_document
-from imr_torch.gap.ladder import climb, with_held_out
-from imr_torch.gap.shrinkage import hold_out
-from imr_torch.material import LIBRARY, wide_prior
-from imr_torch.observe import Experiment, ExperimentBatch, GelMedium, TraceSet, find_landmarks, prepare
+from imr_torch.gap.parts import closed_by
+from imr_torch.gap.scatter import gel_scatter
+from imr_torch.material import wide_prior
+from imr_torch.observe import ExperimentBatch, GelMedium, TraceSet, find_landmarks, prepare
 from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, TransportSimulator
 
@@ -126,27 +125,24 @@ def diagnosed(file: Path, most: int, medium: str, *, other: bool) -> dict[str, A
     }
     if not report.found:
         return row | {"converged": report.converged, "ladder": None, "shown": _shown(report.batch, {"none": report.null})}
-    inquiry = Inquiry(report.null.prior, tuple(LIBRARY[name] for name in report.directions), report.batch, simulator)
-    ladder = climb(inquiry, report.null, report.gap, report.fits, most=count, seed=child(seed, "ladder"), progress=_progress)
-    ladder = _judged(ladder, report.batch, unseen, simulator, seed)
+    ladder = closed_by(
+        report,
+        simulator,
+        unseen,
+        most=count,
+        seed=seed,
+        scatter=None if other else gel_scatter(report, simulator, seed=child(seed, "scatter")),
+        progress=_progress,
+    )[0]
     fits = {rung.name: rung.fit for rung in (ladder.rungs[0], ladder.rungs[-1])}
-    said = {"converged": report.converged, "ladder": ladder_document(ladder), "sentence": str(ladder)}
+    own = ladder_document(Ladder(ladder.own_gels))
+    said = {"converged": report.converged, "ladder": ladder_document(ladder), "own_gels": own, "sentence": str(ladder)}
     return row | said | {"shown": _shown(report.batch, fits)}
 
 
 def _effects(medium: GelMedium) -> tuple[Any, ...]:
     """The library less what is inferred with the medium."""
     return tuple(effect for effect in library(base=BASE) if not set(effect.names) & set(medium.priors))
-
-
-def _judged(
-    ladder: Ladder, batch: ExperimentBatch, unseen: Sequence[Experiment], simulator: TransportSimulator, seed: int
-) -> Ladder:
-    """The ladder judged on curves that no fit saw; as it is where there are none."""
-    if not unseen:
-        return ladder
-    fits, apart = {rung.name: rung.fit for rung in ladder.rungs}, ExperimentBatch(tuple(unseen), batch.noise)
-    return with_held_out(ladder, hold_out(fits, batch, simulator, seed=seed, unseen=apart), seed=seed)
 
 
 def _shown(batch: ExperimentBatch, fits: dict[str, Any]) -> list[dict[str, Any]]:
@@ -187,10 +183,10 @@ def run(args: argparse.Namespace) -> None:
                 continue
             print(f"{name}: {task}", flush=True)
             _started.append(time.process_time())
-            row: dict[str, Any] = {"set": name, "task": task, "medium": SETS[name], "max_curves": args.max_curves}
+            row: dict[str, Any] = {"set": name, "task": task, "stated": SETS[name], "max_curves": args.max_curves}
             try:
                 row |= tasks[task](files[name], args.max_curves, SETS[name])
-            except ImrError as error:
+            except (ImrError, RuntimeError) as error:  # torch reports a singular matrix as the latter
                 row["failure"] = f"{type(error).__name__}: {error}"
             row["cpu"] = time.process_time() - _started[-1]
             stream.write(json.dumps(row) + "\n")

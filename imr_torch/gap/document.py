@@ -70,6 +70,7 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
         "best_rival": None if judged is None else judged.rival,
         "ladder": None if parts.ladder is None else ladder_document(parts.ladder),
+        "ladder_own_gels": None if parts.ladder is None else [_rung(rung) for rung in parts.ladder.own_gels],
         "gel_scatter": None if parts.scatter is None else parts.scatter.to_dict(),
         "cause_values": cause_values(report),
         "parameter_shift": parameter_shift(report),

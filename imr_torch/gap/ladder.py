@@ -11,13 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
+
 from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence
 from imr_torch.gap.phases import PHASES, noise_shares, phase_numbers
 from imr_torch.gap.score import ADEQUATE, GapTest
-from imr_torch.gap.shrinkage import HeldOut, compare, reductions
+from imr_torch.gap.shrinkage import GEL_SCATTER, HeldOut, compare, reductions
 from imr_torch.material import PARAMETERS, Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
@@ -115,6 +116,7 @@ class Ladder:
 
     Args:
         rungs: the base model first.
+        own_gels: rungs at which every curve has a gel of its own, where that was asked (:mod:`imr_torch.gap.own_gels`).
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -132,12 +134,19 @@ class Ladder:
     """
 
     rungs: tuple[Rung, ...]
+    own_gels: tuple[Rung, ...] = ()
 
     @property
     def best(self) -> Rung:
-        """The rung that closes some of the gap on held-out designs and predicts them best; the last where none was held out."""
-        scores = [rung.log_score[0] if rung.log_score and rung.closed and rung.closed[1] > 0.0 else 0.0 for rung in self.rungs]
-        return self.rungs[-1] if self.rungs[-1].log_score is None else self.rungs[scores.index(max(scores))]
+        """The rung that closes some of the gap on held-out designs and predicts them best; the last where none was held out.
+
+        Rungs at which every curve has a gel of its own count too.
+        """
+        if self.rungs[-1].log_score is None:
+            return self.rungs[-1]
+        all_ = (*self.rungs, *self.own_gels)
+        scores = [rung.log_score[0] if rung.log_score and rung.closed and rung.closed[1] > 0.0 else 0.0 for rung in all_]
+        return all_[scores.index(max(scores))]
 
     def __str__(self) -> str:
         """One sentence on how much the best rung closes, and what is left where."""
@@ -151,7 +160,7 @@ class Ladder:
         else:
             low, middle, high = last.closed
             share = f"{verb} {middle:.2f} ({low:.2f} to {high:.2f}) of the gap on designs that the fits did not see"
-        *others, end = last.effects
+        *others, end = ("a gel of its own for each curve" if name == GEL_SCATTER else name for name in last.effects)
         named = f"{', '.join(others)} and {end}" if others else end
         if last.adequate:
             return f"{named} {share}; what is left is noise."
@@ -213,16 +222,16 @@ def with_held_out(ladder: Ladder, held: Mapping[str, Sequence[HeldOut]], *, seed
         held: name of each rung -> held-out predictions (:func:`imr_torch.gap.shrinkage.hold_out`).
         seed: of the bootstrap.
     """
-    own = {rung.name: held[rung.name] for rung in ladder.rungs}
+    own = {rung.name: held[rung.name] for rung in (*ladder.rungs, *ladder.own_gels)}
     _, closed = reductions(own, seed)
-    rungs = [ladder.rungs[0]]
-    for rung in ladder.rungs[1:]:
+
+    def judged(rung: Rung) -> Rung:
         score = compare(own, rung.name, "none")
         trained = all(design.converged for name in ("none", rung.name) for design in own[name])
-        rungs.append(
-            replace(rung, closed=closed[rung.name], log_score=(score.difference, score.standard_error), trained=trained)
-        )
-    return Ladder(tuple(rungs))
+        said = (score.difference, score.standard_error)
+        return replace(rung, closed=closed[rung.name], log_score=said, trained=trained)
+
+    return Ladder((ladder.rungs[0], *map(judged, ladder.rungs[1:])), tuple(map(judged, ladder.own_gels)))
 
 
 def left_over(fit: ModelFit, batch: ExperimentBatch) -> tuple[Left, ...]:
