@@ -42,6 +42,7 @@ _REACH, _COARSE, _FINE = 4.5, 121, {False: 901, True: 361}  # finer where no fur
 _SCATTERS = 24
 _STEP = 1e-3
 _LEVEL = 0.9
+_EARLIEST = 0.3  # t* below which a collapse time is refused as one in other units
 
 
 def measured() -> tuple[Tensor, Tensor, Tensor]:
@@ -122,7 +123,7 @@ def quantiles(weights: np.ndarray, axis: np.ndarray, truth: float) -> tuple[floa
 
 
 def simulated(number: int, args: argparse.Namespace) -> tuple[Tensor, Tensor, tuple[CollapseShot, ...]]:
-    """Controls of the true gel, measured times in t*, and shots; gels without a collapse in a shot are drawn again."""
+    """Controls of the true gel, measured times in t*, and shots; gels of refused times are drawn again."""
     source = generator(child(args.seed, "gel", number))
     sizes, stretch, designs = measured()
     scale, near = Surroundings().time_scale(sizes), torch.full((SHOTS,), 0.92, dtype=torch.float64)
@@ -134,9 +135,9 @@ def simulated(number: int, args: argparse.Namespace) -> tuple[Tensor, Tensor, tu
         shifts = torch.zeros(SHOTS, 3, dtype=torch.float64)
         shifts[:, ::2] = torch.randn(SHOTS, 2, generator=source, dtype=torch.float64) * torch.tensor([RMAX_SD, STRETCH_SD])
         t = predict_collapse(SIMULATOR, PRIOR.to_si(v), designs, near, shifts)
-        if bool(torch.isfinite(t).all()):
+        t = t + math.hypot(TIMING, args.scatter) * torch.randn(SHOTS, generator=source, dtype=torch.float64)
+        if bool((t > _EARLIEST).all()):  # NaN is not
             break
-    t = t + math.hypot(TIMING, args.scatter) * torch.randn(SHOTS, generator=source, dtype=torch.float64)
     rows = zip(sizes, stretch, t * scale, TIMING * scale, RMAX_SD * sizes, STRETCH_SD * stretch, strict=True)
     return v, t, tuple(CollapseShot(f"shot {i}", *map(float, row)) for i, row in enumerate(rows))
 

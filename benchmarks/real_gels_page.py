@@ -74,7 +74,8 @@ def _ladders(record: Record, sets: list[str]) -> list[str]:
     """Verdict and ladder of each set."""
     lines = [
         "| set | verdict | effects, in order | misfit over noise, from and to | closed on unseen curves (90 %) "
-        "| with a gel of its own for each curve | held-out score over the base, nats | reported | first effect of the other half | certified | CPU (s) |",
+        "| with a gel of its own for each curve | held-out score over the base, nats | reported "
+        "| first effect of the other half | certified | CPU (s) |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for name in sets:
