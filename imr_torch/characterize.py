@@ -37,6 +37,8 @@ from imr_torch.files import write_json
 from imr_torch.gap import FitTest, MediumSensitivity, check_fit, medium_sensitivities
 from imr_torch.material import Belief, ModelBelief, wide_prior
 from imr_torch.observe import (
+    CollapseShot,
+    CollapseTime,
     Experiment,
     ExperimentBatch,
     GelMedium,
@@ -49,6 +51,7 @@ from imr_torch.observe import (
     predict,
     prepare,
 )
+from imr_torch.observe.collapse import serial_correlation
 from imr_torch.observe.frames import FrameUse, frame_use
 from imr_torch.population import MOST, SCALE, Population, fit_shots, infer_population
 from imr_torch.random import child
@@ -95,6 +98,8 @@ EFFORTS = {"normal": Effort(4, 3.0), "thorough": Effort(8, 7.0)}
 FRAMES = ("all", "robust")
 """What is done about single bad frames: named only, or left out too."""
 
+_FEWEST_SHOTS = 12  # from which on a pattern of residuals is looked for
+_PATTERN = 2.6  # standard deviations; one such set in 200 by chance
 _REFITS = 3  # times that bad frames are left out and the fit repeated
 _CURVES_LISTED = 10
 _NOISE_LEVELS = 21  # quantiles of the noise in a predictive band
@@ -156,7 +161,7 @@ class Characterization:
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
-        """The dimensionless curves that were fitted, cut to the window."""
+        """The dimensionless curves that were fitted, cut to the window; without shots of collapse times."""
         return self.prepared.experiments
 
     @property
@@ -186,7 +191,25 @@ class Characterization:
     @property
     def cautions(self) -> tuple[str, ...]:
         """What makes the numbers doubtful, a sentence each."""
-        return (*self.prepared.cautions, *(str(edge) for edge in self.noise_edges if edge.remedy))
+        edges = (str(edge) for edge in self.noise_edges if edge.remedy)
+        return (*self.prepared.cautions, *edges, *self._patterns())
+
+    def _patterns(self) -> list[str]:
+        """Where residuals of collapse times follow the size or the stretch of a bubble: they are no independent errors."""
+        shots, said = self.collapse_times(), []
+        if len(shots) < _FEWEST_SHOTS:
+            return []
+        left = torch.tensor([float(str(x["t_star"])) - float(str(x["predicted"])) for x in shots], dtype=torch.float64)
+        for key, words in (("Rmax_m", "maximum radius"), ("R_inf*", "stretch")):
+            order = torch.tensor([float(str(x[key])) for x in shots], dtype=torch.float64)
+            found = serial_correlation(left, order)
+            if found > _PATTERN:
+                said.append(
+                    f"Residuals of the collapse times are correlated in the order of {words} ({found:.1f} standard "
+                    "deviations): they are no independent errors, intervals are too narrow, and the model or a calibration "
+                    "misses something."
+                )
+        return said
 
     def to_dict(self) -> dict[str, object]:
         """JSON-ready summary: intervals in SI units, probabilities, residuals, certificates."""
@@ -212,6 +235,7 @@ class Characterization:
             ],
             "cautions": list(self.cautions),
             **({} if self.medium is None else medium_document(self.medium, self.sensitivities, self.posterior.best)),
+            "collapse_times": self.collapse_times(),
             "model_probabilities": self.posterior.probabilities,
             "models": models,
             "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
@@ -227,6 +251,25 @@ class Characterization:
             "weighed_draws": draws_to_dict(self.assimilation),
             "cpu_seconds": self.seconds,
         }
+
+    def collapse_times(self) -> list[dict[str, object]]:
+        """Each shot of which the collapse time alone is known: measured and, by the most probable model, predicted, over t*."""
+        batch, fit = self.assimilation.batch, self.assimilation[self.posterior.best.model]
+        surroundings = Surroundings() if self.medium is None else self.medium.surroundings
+        return [
+            {
+                "id": e.label,
+                "We": e.design[0],
+                "R_inf*": e.design[1],
+                "Rmax_m": surroundings.max_radius(e.design[0]),
+                "t_star": e.time,
+                "sd": e.sd,
+                "scatter": e.scatter,
+                "predicted": float(fit.prediction[i, 0]),
+            }
+            for i, e in enumerate(batch.experiments)
+            if isinstance(e, CollapseTime)
+        ]
 
     def save(self, path: str | Path) -> None:
         """Write :meth:`to_dict` as JSON, atomically."""
@@ -255,23 +298,26 @@ class Characterization:
         if self.medium is not None:
             said = (*self.medium.learnt(self.posterior.best), *(found.sentence() for found in self.sensitivities))
             lines += [self.medium.report(), *(f"  {sentence}" for sentence in said)]
-        lines += [f"{len(self.experiments)} curve(s); noise {self.noise}", *self._noise_lines()]
+        lines += [*self._collapse_lines(), *(f"  {pattern}" for pattern in self._patterns())]
+        if self.experiments:
+            lines += [f"{len(self.experiments)} curve(s); noise {self.noise}", *self._noise_lines()]
         lines += [x for use in self.frames for x in use.lines()]
         order = sorted(self.assimilation.fits, key=lambda f: -self.posterior.probabilities[f.model])
         errors = probability_errors(self.assimilation.prior, self.evidence)
+        unit = "R*" if self.experiments else "t*"
         for fit in order:
             lines.append(
                 f"\n{fit.prior.material.title:10s} probability {self.posterior.probabilities[fit.model]:.3f} "
-                f"+- {errors[fit.model]:.3f}, RMSE {self.assimilation.rmse(fit.model):.4f} in R*"
+                f"+- {errors[fit.model]:.3f}, RMSE {self.assimilation.rmse(fit.model):.4f} in {unit}"
             )
             for found in identifiability(fit.prior, fit.posterior):
                 parameter = found.parameter
                 if self.medium is not None and parameter.name in self.medium.priors:
                     continue  # said with the medium, in its units
                 low, middle, high = (parameter.display_scale * x for x in intervals(fit.posterior)[parameter.name])
-                unit = parameter.display_unit or ("" if parameter.unit == "1" else parameter.unit)
+                said_unit = parameter.display_unit or ("" if parameter.unit == "1" else parameter.unit)
                 said = "" if found.bound is Bound.BOTH else f"; {found.words}"
-                lines.append(f"  {parameter.name:6s} {middle:10.4g} {unit:5s} (90 %: {low:.4g} to {high:.4g}){said}")
+                lines.append(f"  {parameter.name:6s} {middle:10.4g} {said_unit:5s} (90 %: {low:.4g} to {high:.4g}){said}")
             lines += [f"  {fit.certificate}", f"  {fit.trust}{self._advice(fit)}"]
         if len(self.experiments) > 1:
             worst = sorted(self.assimilation.rmse_by_experiment(order[0].model).items(), key=lambda item: -item[1])
@@ -287,6 +333,23 @@ class Characterization:
         if self.population is not None:
             lines.append(f"\n{self.population.report()}")
         return "\n".join(lines)
+
+    def _collapse_lines(self) -> list[str]:
+        """How many shots have a collapse time alone, with which errors, and what was plugged in."""
+        shots = [e for e in self.assimilation.batch.experiments if isinstance(e, CollapseTime)]
+        if not shots:
+            return []
+        stated, further = sum(e.sd for e in shots) / len(shots), shots[0].scatter
+        beside = f"noise of the {len(self.experiments)} curve(s) and this error are" if self.experiments else "this error is"
+        found = (
+            f"{further:.2g} beyond that and the errors of Rmax and R_inf"
+            if further
+            else "none beyond that and the errors of Rmax and R_inf"
+        )
+        return [
+            f"{len(shots)} shot(s) of which the collapse time alone is known. Error of the time over Rmax/U_c: {stated:.2g} as "
+            f"stated, {found} (measurement, shots that differ, a model that misses); {beside} plugged in, not integrated over."
+        ]
 
     def _noise_lines(self) -> list[str]:
         """How uncertain the noise is, what lies at an end of its range, and which frames look bad."""
@@ -328,7 +391,10 @@ def medium_document(
 
 
 def medium_of(
-    traces: TraceSet, medium: GelMedium | Statement | str | None = None, surroundings: Surroundings | None = None
+    traces: TraceSet,
+    medium: GelMedium | Statement | str | None = None,
+    surroundings: Surroundings | None = None,
+    shots: Sequence[CollapseShot] = (),
 ) -> GelMedium:
     """The medium of curves that are fitted together: what the caller states, then their files, then what is assumed.
 
@@ -336,6 +402,7 @@ def medium_of(
         traces: the curves.
         medium: what the caller states, for example ``"water,temperature=310"``; a :class:`GelMedium` stays as it is.
         surroundings: values of what nobody states.
+        shots: shots of collapse times beside the curves, of the same gel.
 
     Raises:
         InputDataError: as in :class:`imr_torch.observe.Statement` and :func:`imr_torch.observe.gel_medium`.
@@ -343,7 +410,8 @@ def medium_of(
     if isinstance(medium, GelMedium):
         return medium
     command = Statement.from_text(medium, "medium") if isinstance(medium, str) else medium
-    beside = [trace.given.stated for trace in traces if trace.given.stated is not None]
+    said = [*(trace.given.stated for trace in traces), *(shot.stated for shot in shots)]
+    beside = [statement for statement in said if statement is not None]
     return gel_medium(command, list({repr(statement): statement for statement in beside}.values()), surroundings)
 
 
@@ -366,6 +434,7 @@ def characterize(
     check: bool = True,
     effort: str = "normal",
     medium: GelMedium | Statement | str | None = None,
+    shots: Sequence[CollapseShot] = (),
     frames: str = "all",
     population: bool = False,
     scatter_scale: float = SCALE,
@@ -393,6 +462,9 @@ def characterize(
         medium: density, sound speed, surface tension, temperature and ambient pressure of the gel, for example
             ``"water,temperature=310,density=1125:11"`` (:mod:`imr_torch.observe.medium`); it counts before what the files
             state, and that before the simulator's surroundings. What has a standard deviation is inferred with the gel.
+        shots: shots of which the collapse time alone is known (:func:`imr_torch.observe.load_collapse_times`), beside curves or
+            alone. With ``estimate_noise`` a further error of their times is estimated from their scatter about the fit; that
+            and, beside such shots, the noise of the curves are plugged in and not integrated over.
         frames: ``"all"`` are fitted, and single ones that look bad are named; with ``"robust"`` these are left out and the
             fit repeated until none is named, three times at most; those next to a
             collapse and runs of three or more stay in, since they are more likely a misfit.
@@ -426,8 +498,11 @@ def characterize(
     [1.0, 1.0]
     """
     started = time.process_time()
-    if len(traces) == 0:
-        raise InputDataError("No curve to characterise; load at least one.")
+    if len(traces) == 0 and not shots:
+        raise InputDataError("No curve or collapse time to characterise; load at least one.")
+    if shots and (scores or population):
+        asked = "Scores hold curves out" if scores else "A population is inferred from curves"
+        raise InputDataError(f"{asked}, and {len(shots)} shot(s) of collapse times are given; leave one of the two out.")
     if scores and len(traces) == 1:
         raise InputDataError("Scores hold curves out, and there is 1; give at least two, or ask for no scores.")
     if population and len(traces) == 1:
@@ -446,13 +521,14 @@ def characterize(
             "model out, or give some of them as known."
         )
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
-    medium = medium_of(traces, medium, simulator.conditions.surroundings)
+    medium = medium_of(traces, medium, simulator.conditions.surroundings, shots)
     simulator, prior = medium.applied(simulator), medium.believed(prior)
     prepared = prepare(traces, simulator.conditions.surroundings, collapses=collapses, rest_radius=rest_radius)
+    timed = tuple(shot.to_experiment(simulator.conditions.surroundings) for shot in shots)
     stated = options.drop_behind if isinstance(options, SearchOptions) else None
     drop_behind = EFFORTS[effort].behind if stated is None else stated
 
-    def fit(experiments: tuple[Experiment, ...], near: Assimilation | None, own: int) -> Assimilation:
+    def fit(experiments: tuple[Experiment | CollapseTime, ...], near: Assimilation | None, own: int) -> Assimilation:
         result = assimilate_estimating_noise(
             prior,
             ExperimentBatch(experiments, noise),
@@ -464,16 +540,17 @@ def characterize(
             progress=progress,
         )
         best = min(result.fits, key=lambda fit: fit.cost)
-        uncertain = NoisePrior(noise) if estimate_noise and determines_noise(best, result.batch) else None
+        integrated = estimate_noise and not shots and determines_noise(best, result.batch)
+        uncertain = NoisePrior(noise) if integrated else None
         rounds = EFFORTS[effort].rounds
         own = child(own, "weigh")
         return weigh(result, simulator, seed=own, rounds=rounds, drop_behind=drop_behind, noise=uncertain, progress=progress)
 
-    weighed, bad, left_out = fit(prepared.experiments, None, seed), None, ()
+    weighed, bad, left_out = fit((*prepared.experiments, *timed), None, seed), None, ()
     evidence = evidences(weighed)
     posterior = update(weighed, evidence)
-    if check or frames == "robust":
-        bad = find_bad_frames(weighed[posterior.best.model], weighed.batch, simulator)
+    if len(traces) and (check or frames == "robust"):
+        bad = find_bad_frames(*weighed[posterior.best.model].of_curves(weighed.batch), simulator)
     for number in range(_REFITS if frames == "robust" else 0):
         single = tuple(frame for frame in bad.frames if frame.single) if bad else ()
         if not single:
@@ -482,21 +559,21 @@ def characterize(
         weighed = fit(_without(weighed.batch.experiments, single), weighed, child(seed, "robust", number))
         evidence = evidences(weighed)
         posterior = update(weighed, evidence)
-        bad = find_bad_frames(weighed[posterior.best.model], weighed.batch, simulator)
-    prepared = replace(prepared, experiments=weighed.batch.experiments)
+        bad = find_bad_frames(*weighed[posterior.best.model].of_curves(weighed.batch), simulator)
+    prepared = replace(prepared, experiments=tuple(e for e in weighed.batch.experiments if isinstance(e, Experiment)))
     found: tuple[PredictiveScore, ...] = ()
     if scores:
         own = child(seed, "scores")
         search = options if isinstance(options, SearchOptions) else None
         found = sum_over_folds(cross_validate(weighed, simulator, seed=own, options=search, progress=progress))
     tested = None
-    if check:
+    if check and len(traces):
         if progress:
             progress("fit test: does the model explain the curves?")
-        tested = check_fit(weighed[posterior.best.model], weighed.batch, simulator, seed=child(seed, "check"))
+        tested = check_fit(*weighed[posterior.best.model].of_curves(weighed.batch), simulator, seed=child(seed, "check"))
     gels = None
     if population:
-        shots = fit_shots(
+        alone = fit_shots(
             prior[posterior.best.model],
             prepared.experiments,
             simulator,
@@ -505,7 +582,7 @@ def characterize(
             seed=child(seed, "population"),
             progress=progress,
         )
-        gels = infer_population(shots, scale=scatter_scale, seed=child(seed, "population"))
+        gels = infer_population(alone, scale=scatter_scale, seed=child(seed, "population"))
     surroundings = simulator.conditions.surroundings
     used = tuple(
         frame_use(trace, prepared.landmarks[trace.experiment_id], experiment, surroundings, collapses=collapses)
@@ -518,9 +595,11 @@ def characterize(
     )
 
 
-def _without(experiments: tuple[Experiment, ...], bad: tuple[BadFrame, ...]) -> tuple[Experiment, ...]:
+def _without(
+    experiments: tuple[Experiment | CollapseTime, ...], bad: tuple[BadFrame, ...]
+) -> tuple[Experiment | CollapseTime, ...]:
     """Experiments without the frames that look bad."""
-    kept = []
+    kept: list[Experiment | CollapseTime] = []
     for experiment in experiments:
         frames = torch.ones_like(experiment.times, dtype=torch.bool)
         frames[[frame.frame for frame in bad if frame.experiment == experiment.label]] = False

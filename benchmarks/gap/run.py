@@ -19,7 +19,8 @@ from imr_torch.gap import LIBRARY, GapReport, diagnose, to_json
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.diagnose import impatient
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
-from imr_torch.gap.locate import PHASES, onset
+from imr_torch.gap.locate import onset
+from imr_torch.gap.phases import PHASES
 from imr_torch.gap.score import ADEQUATE
 from imr_torch.gap.shrinkage import held_out, hold_out, judge
 from imr_torch.observe import ExperimentBatch

@@ -24,7 +24,7 @@ from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.assimilate.options import En4DVarOptions
 from imr_torch.assimilate.posterior import Point, Posterior
 from imr_torch.assimilate.published import as_one_curve
-from imr_torch.errors import ConvergenceError
+from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
@@ -92,10 +92,17 @@ def tempered(batch: ExperimentBatch) -> ExperimentBatch:
 
     Args:
         batch: the data; experiments may differ in frames, and the mean number of frames counts for all.
+
+    Raises:
+        InputDataError: for shots of which the collapse time alone is known.
     """
+    if bool(batch.collapse.any()):
+        raise InputDataError(
+            "The tempered likelihood is one of curves, and shots of collapse times are given; take another method (map)."
+        )
     frames = float(batch.mask.sum(1).double().mean())
     noise = replace(batch.noise, scale=batch.noise.scale * frames**0.5, correlation_time=0.0)
-    return ExperimentBatch(tuple(as_one_curve(e) for e in batch.experiments), noise)
+    return ExperimentBatch(tuple(as_one_curve(e) for e in batch.curves), noise)
 
 
 @dataclass(frozen=True)

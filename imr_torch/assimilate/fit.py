@@ -4,7 +4,7 @@ The certificate says whether the optimum was found; the importance sample, once 
 drawn it, says whether the Gaussian about the optimum approximates the posterior, and gives corrected moments where not.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import torch
@@ -140,6 +140,26 @@ class ModelFit:
         """Key of the constitutive model."""
         return self.prior.model
 
+    def of_curves(self, batch: ExperimentBatch) -> "tuple[ModelFit, ExperimentBatch]":
+        """The fit and its data without shots of collapse times, as if the curves alone had been fitted; no draws if any left.
+
+        Args:
+            batch: the data.
+        """
+        rows = ~batch.collapse
+        if bool(rows.all()):
+            return self, batch
+        width = int(batch.mask[rows].sum(1).max())
+        part = replace(
+            self,
+            nuisances=self.nuisances[rows],
+            nuisance_response=self.nuisance_response[rows],
+            nuisance_chol=self.nuisance_chol[rows],
+            prediction=self.prediction[rows, :width],
+            sample=None,
+        )
+        return part, ExperimentBatch(batch.curves, batch.noise)
+
     @property
     def nuisance_log_det(self) -> float:
         """Log determinant of the nuisances' Hessian."""
@@ -263,12 +283,14 @@ class Assimilation:
         return next(fit for fit in self.fits if fit.model == model)
 
     def rmse(self, model: str) -> float:
-        """Root mean square residual of the mean curves in R*, over all frames in the window."""
-        residual = (self.batch.mean - self[model].prediction)[self.batch.mask]
+        """Root mean square residual of the mean curves in R*, over all frames in the window; of collapse times alone in t*."""
+        curves = self.batch.mask & ~self.batch.collapse[:, None]
+        residual = (self.batch.mean - self[model].prediction)[curves if bool(curves.any()) else self.batch.mask]
         return float(residual.square().mean().sqrt())
 
     def rmse_by_experiment(self, model: str) -> dict[str, float]:
-        """The same for each experiment: one that stands out is of another gel, or wrongly scaled."""
+        """The same for each curve, or each shot if there are none; one that stands out is of another gel, or wrongly scaled."""
         square = torch.where(self.batch.mask, self.batch.mean - self[model].prediction, 0.0).square().sum(1)
-        values = (square / self.batch.mask.sum(1)).sqrt().tolist()
-        return {e.label: value for e, value in zip(self.batch.experiments, values, strict=True)}
+        values, mixed = (square / self.batch.mask.sum(1)).sqrt().tolist(), bool((~self.batch.collapse).any())
+        pairs = zip(self.batch.experiments, values, strict=True)
+        return {e.label: value for e, value in pairs if not mixed or e.kind == "radius"}

@@ -81,7 +81,7 @@ class NormalEquations:
         gradient = self.gel_gradient + (response.mT @ self.nuisance_gradient[..., None])[..., 0].sum(-2)
         hessian = gel + (self.cross.mT @ response).sum(-3)
         log_det = 2.0 * chol.diagonal(dim1=-2, dim2=-1).log().sum((-2, -1))
-        return Reduced(gradient, 0.5 * (hessian + hessian.mT), step, response, log_det)
+        return Reduced(gradient, definite(0.5 * (hessian + hessian.mT)), step, response, log_det)
 
     @property
     def whitened_gradient(self) -> Tensor:
@@ -94,13 +94,54 @@ class NormalEquations:
     @property
     def posterior_chol(self) -> Tensor:
         """``... x d x d`` lower Cholesky factor of the inverse Hessian of the gel, nuisances marginalised."""
-        return torch.linalg.cholesky(torch.linalg.inv(self.reduced.hessian))
+        return inverse_chol(self.reduced.hessian)
 
     def step(self, damping: Tensor) -> tuple[Tensor, Tensor]:
         """Levenberg-Marquardt steps of gel (``... x d``) and nuisances (``... x E x 3``) for a ``...`` damping."""
         damped = self._eliminate(damping)
         gel = -torch.linalg.solve(damped.hessian, damped.gradient[..., None])[..., 0]
         return gel, damped.nuisance_step + (damped.nuisance_response @ gel[..., None, :, None])[..., 0]
+
+
+def definite(hessian: Tensor) -> Tensor:
+    """Hessians ``... x d x d`` in controls, with eigenvalues of at least 1 where rounding has left one that is not positive.
+
+    The prior's own Hessian is the identity, so no exact one is smaller. Sensitivities of 1e8 standard deviations, at the
+    edge of where bubbles can be simulated, lose it in the elimination of the nuisances.
+
+    >>> import torch
+    >>> from imr_torch.assimilate.gauss_newton import definite
+    >>> definite(torch.tensor([[1e18, 0.0], [0.0, -3.0]], dtype=torch.float64)).diagonal().tolist()
+    [1e+18, 1.0]
+    """
+    lost = torch.linalg.cholesky_ex(hessian).info > 0
+    if not bool(lost.any()):
+        return hessian
+    values, vectors = torch.linalg.eigh(hessian)
+    mended = (vectors * values.clamp_min(1.0)[..., None, :]) @ vectors.mT
+    return torch.where(lost[..., None, None], 0.5 * (mended + mended.mT), hessian)
+
+
+def inverse_chol(hessian: Tensor) -> Tensor:
+    """Lower Cholesky factors ``... x d x d`` of the inverses of positive definite matrices, ill-conditioned ones too.
+
+    With rows and columns reversed, a factor of the matrix gives one of its inverse, so that no inverse is factored; where
+    rounding leaves none at all, the prior's, the identity, is returned.
+
+    >>> import torch
+    >>> from imr_torch.assimilate.gauss_newton import inverse_chol
+    >>> hessian = torch.tensor([[4.0, 2.0], [2.0, 3.0]], dtype=torch.float64)
+    >>> chol = inverse_chol(hessian)
+    >>> bool(torch.allclose(chol @ chol.mT @ hessian, torch.eye(2, dtype=torch.float64)))
+    True
+    """
+    chol, info = torch.linalg.cholesky_ex(torch.linalg.inv(hessian))
+    if not bool((info > 0).any()):
+        return chol
+    chol, info = torch.linalg.cholesky_ex(hessian.flip((-2, -1)))
+    chol = torch.where((info > 0)[..., None, None], torch.eye(chol.shape[-1], dtype=chol.dtype), chol)
+    eye = torch.eye(chol.shape[-1], dtype=chol.dtype, device=chol.device).expand_as(chol)
+    return torch.linalg.solve_triangular(chol, eye, upper=False).mT.flip((-2, -1)).tril()
 
 
 def _damped(hessian: Tensor, damping: Tensor) -> Tensor:

@@ -18,7 +18,8 @@ from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptio
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
-from imr_torch.observe import ExperimentBatch, Noise
+from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise
+from imr_torch.observe.collapse import scatter_of
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
@@ -92,7 +93,7 @@ def assimilate_estimating_noise(
 
     result = fit(batch, 0, near)
     for number in range(1, rounds + 1):
-        batch = ExperimentBatch(batch.experiments, estimated_noise(result, law, simulator))
+        batch = ExperimentBatch(with_scatter(result), estimated_noise(result, law, simulator))
         if progress:
             progress(f"noise {batch.noise}")
         result = fit(batch, number, result)
@@ -115,10 +116,34 @@ def estimated_noise(result: Assimilation, law: Noise, simulator: Simulator) -> N
         simulator: makes the bubbles.
     """
     best, batch = min(result.fits, key=lambda fit: fit.cost), result.batch
+    if not bool((~batch.collapse).any()):
+        return law
+    best, batch = best.of_curves(batch)
     if not determines_noise(best, batch):
         return law
     near = Posterior(best.prior, batch, simulator).neighbourhood(best.point)
     return most_probable_law(near, NoisePrior(law))
+
+
+def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:
+    """The experiments, with the further error of collapse times that their residuals ask for, the same (over t*) for all.
+
+    The model of lowest cost counts. With the error ``s`` of a time and its slopes ``a`` over the standardised nuisances, the
+    precision of these given the gel is ``I + a a^T/s^2``, and they have taken up ``|a|^2/(s^2 + |a|^2)`` of the residual.
+    """
+    best, batch = min(result.fits, key=lambda fit: fit.cost), result.batch
+    rows = [e for e, experiment in enumerate(batch.experiments) if isinstance(experiment, CollapseTime)]
+    shots = [e for e in batch.experiments if isinstance(e, CollapseTime)]
+    if not shots:
+        return batch.experiments
+    left = (batch.mean - best.prediction)[rows, 0]
+    square = torch.tensor([shot.whole_sd**2 for shot in shots], dtype=torch.float64)
+    stated = torch.tensor([shot.sd**2 for shot in shots], dtype=torch.float64)
+    precision = best.nuisance_chol[rows].square().sum((-2, -1))  # trace, 3 without data
+    slopes = square * (precision - 3.0).clamp_min(0.0)
+    gel = len(best.mean) - float(best.chol.square().sum())
+    scatter = scatter_of(left * (1.0 + slopes / square), stated + slopes, max(gel, 0.0))
+    return tuple(replace(e, scatter=scatter) if isinstance(e, CollapseTime) else e for e in batch.experiments)
 
 
 def determines_noise(fit: ModelFit, batch: ExperimentBatch) -> bool:

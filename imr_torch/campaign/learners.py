@@ -209,6 +209,8 @@ class PaperLearner:
         """Raise if the design or the clock of an experiment is uncertain, which the method cannot express."""
         if bool((batch.nuisance_sds > 0.0).any()):
             raise InputDataError("PaperLearner takes designs and clocks as exact; give experiments without nuisances.")
+        if len(batch.curves) < len(batch.experiments):
+            raise InputDataError("PaperLearner learns from curves; leave shots of collapse times out.")
 
     def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
         """See :class:`Learner`. Raises as :meth:`check` does."""
@@ -216,7 +218,7 @@ class PaperLearner:
         self.check(batch)
         count = len(batch.experiments)
         for number in range(count - observations.fresh + 1, count + 1):
-            experiment = batch.experiments[number - 1]
+            experiment = batch.curves[number - 1]
             fits = assimilate_published(
                 belief,
                 experiment,

@@ -10,11 +10,13 @@
 Files are tables (text or .xlsx) with the columns experiment_id, time_s, radius_m, or with units in the header ("time (us)",
 "R [um]"), MATLAB files, or .npz. What their names do not say, --layout says; units are never guessed. In a wide table
 every column of radii is a curve. A JSON file of the same name beside a file may give R_inf, Rmax, their sd, medium, frame
-rate, pixel size and exposure. --medium states density, sound speed, surface tension, temperature and ambient pressure of the
-gel (--medium water,temperature=310,density=1125:11: with a standard deviation it is inferred beside the gel); the report says
-what was assumed and whether that matters. All curves are taken to be of one gel and are fitted together; --each fits every
-curve by itself, which shows whether they agree, and --population says how much the gel differs between them, by evidence. The
-report says whether the model explains the curves, which rows were left out, which frames were fitted, and why.
+rate, pixel size and exposure. A table with the columns experiment_id, rmax_m, stretch, collapse_time_s holds shots of which no
+more is known (errors: collapse_time_sd_s, 20 ns if not given, rmax_sd_m, stretch_sd), alone or beside curves of the same gel.
+--medium states density, sound speed, surface tension, temperature and ambient pressure of the gel (--medium
+water,temperature=310,density=1125:11: with a standard deviation it is inferred beside the gel); the report says what was
+assumed and whether that matters. All curves are taken to be of one gel and are fitted together; --each fits every curve by
+itself, which shows whether they agree, and --population says how much the gel differs between them, by evidence. The report
+says whether the model explains the curves, which rows were left out, which frames were fitted, and why.
 """
 
 import argparse
@@ -49,7 +51,8 @@ from imr_torch.errors import ConvergenceError, ImrError, InputDataError
 from imr_torch.files import write_atomically
 from imr_torch.html import write
 from imr_torch.material import ModelBelief
-from imr_torch.observe import TraceSet, load_traces, prepare
+from imr_torch.observe import CollapseShot, TraceSet, find_files, load_collapse_times, load_traces, prepare
+from imr_torch.observe.collapse import is_collapse_file
 from imr_torch.population import SCALE
 from imr_torch.results import characterization_document, characterization_page, draw_figures
 
@@ -117,18 +120,41 @@ def run(args: argparse.Namespace) -> None:
     if args.scatter_scale is not None and not args.population:
         raise InputDataError("--scatter-scale is about --population; add that, or leave it out.")
     statement_of(args)  # checked before any work
-    traces = load_traces(*args.files, layout=layout_of(args))
-    if args.experiments is not None:
-        traces = traces.select(names_of(args.experiments, "--experiments"))
-    print(traces.report())
+    traces, shots = _load(args)
+    if len(traces):
+        print(traces.report())
+    if shots:
+        print(
+            f"{len(shots)} shot(s) of which the collapse time alone is known, from {', '.join({s.source: 0 for s in shots})}."
+        )
     if args.each:
         _each(traces, args)
         return
-    document, report, converged = _characterize(traces, args)
+    document, report, converged = _characterize(traces, args, shots=shots)
     write_result(args, document)  # before any figure, so that nothing computed is lost if one fails
     _show(document, report, args, Path(args.out) if args.out else None)
     if not converged:
         raise ConvergenceError("a fit has not converged (see its certificate above), so its numbers are not to be used.")
+
+
+def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
+    """Curves and shots of collapse times in the files that are named, those of ``--experiments`` if it is given."""
+    files = find_files(*args.files)
+    tables = [path for path in files if is_collapse_file(path)]
+    curves, shots = [path for path in files if path not in tables], load_collapse_times(*tables) if tables else ()
+    for option in ("each", "scores", "population") if shots else ():
+        if getattr(args, option):
+            raise InputDataError(f"--{option} is about curves, and {tables[0]} holds collapse times; leave one of them out.")
+    traces = load_traces(*curves, layout=layout_of(args)) if curves else TraceSet(())
+    double = {trace.experiment_id for trace in traces} & {shot.experiment_id for shot in shots}
+    if double:
+        raise InputDataError(f"{tables[0]}: experiment_id '{min(double)}' is also that of a curve; give the shots other names.")
+    if args.experiments is None:
+        return traces, shots
+    wanted, known = names_of(args.experiments, "--experiments"), {shot.experiment_id for shot in shots}
+    of_curves = [name for name in wanted if name not in known]
+    chosen = traces.select(of_curves) if of_curves else TraceSet(())
+    return chosen, tuple(shot for shot in shots if shot.experiment_id in wanted)
 
 
 def _each(traces: TraceSet, args: argparse.Namespace) -> None:
@@ -158,13 +184,16 @@ def _each(traces: TraceSet, args: argparse.Namespace) -> None:
         )
 
 
-def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -> tuple[dict[str, Any], str, bool]:
+def _characterize(
+    traces: TraceSet, args: argparse.Namespace, label: str = "", shots: tuple[CollapseShot, ...] = ()
+) -> tuple[dict[str, Any], str, bool]:
     """Fit some curves together and print the result: its document, the report, and whether all fits have converged."""
     simulator, rounds = simulator_of(args), NOISE_ROUNDS if args.noise == "estimated" else 0
     rest_radius = rest_radius_of(args)
-    simulator, prior, medium = with_medium(args, simulator, prior_of(args), traces)
+    simulator, prior, medium = with_medium(args, simulator, prior_of(args), traces, shots)
     prepared = prepare(traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius)
-    print(prepared.report(frames=False))
+    if len(traces):
+        print(prepared.report(frames=False))
     result = characterize(
         traces,
         prior=prior,
@@ -176,6 +205,7 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -
         scores=args.scores,
         effort=args.effort,
         medium=medium,
+        shots=shots,
         frames=args.frames,
         population=args.population,
         scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
@@ -186,7 +216,8 @@ def _characterize(traces: TraceSet, args: argparse.Namespace, label: str = "") -
     said = result.report(command)
     print("\n" + said)
     document = characterization_document(result, traces, simulator, command=command, seed=args.seed)
-    report = "\n\n".join((traces.report(), prepared.report(frames=False), said)) + "\n"
+    read = (traces.report(), prepared.report(frames=False)) if len(traces) else ()
+    report = "\n\n".join((*read, said)) + "\n"
     return document, report, result.assimilation.converged
 
 

@@ -21,7 +21,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
 from imr_torch.material.media import NAMED
-from imr_torch.observe import GelMedium, Layout, Statement, TraceSet
+from imr_torch.observe import CollapseShot, GelMedium, Layout, Statement, TraceSet
 from imr_torch.results import header
 from imr_torch.simulate import (
     ACCURACIES,
@@ -112,10 +112,14 @@ def statement_of(args: argparse.Namespace) -> Statement | None:
 
 
 def with_medium(
-    args: argparse.Namespace, simulator: Simulator, prior: Belief, traces: TraceSet | None = None
+    args: argparse.Namespace,
+    simulator: Simulator,
+    prior: Belief,
+    traces: TraceSet | None = None,
+    shots: Sequence[CollapseShot] = (),
 ) -> tuple[Simulator, Belief, GelMedium]:
     """Simulator and prior with the medium that the options and the files state; the header of results will say it."""
-    medium = medium_of(traces or TraceSet(()), statement_of(args), simulator.conditions.surroundings)
+    medium = medium_of(traces or TraceSet(()), statement_of(args), simulator.conditions.surroundings, shots)
     args.gel_medium = medium
     return medium.applied(simulator), medium.believed(prior), medium
 

@@ -9,7 +9,7 @@ from imr_torch.assimilate.dense import dense_curve
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.identity_design import NextDesign
-from imr_torch.gap.ladder import Rung
+from imr_torch.gap.ladder import Ladder, Rung
 from imr_torch.gap.lookalike import Likeness
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.report import (
@@ -69,7 +69,8 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         "adequacy_p": report.adequacy_p,
         "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
         "best_rival": None if judged is None else judged.rival,
-        "ladder": None if parts.ladder is None else [_rung(rung) for rung in parts.ladder.rungs],
+        "ladder": None if parts.ladder is None else ladder_document(parts.ladder),
+        "ladder_own_gels": None if parts.ladder is None else [_rung(rung) for rung in parts.ladder.own_gels],
         "gel_scatter": None if parts.scatter is None else parts.scatter.to_dict(),
         "cause_values": cause_values(report),
         "parameter_shift": parameter_shift(report),
@@ -133,6 +134,11 @@ def curves_of(report: GapReport, simulator: Simulator | None = None) -> list[dic
             }
         )
     return rows
+
+
+def ladder_document(ladder: Ladder) -> list[dict[str, Any]]:
+    """A ladder as JSON-ready values, a rung each, the base model first."""
+    return [_rung(rung) for rung in ladder.rungs]
 
 
 def _rung(rung: Rung) -> dict[str, Any]:

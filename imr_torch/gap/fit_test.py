@@ -15,8 +15,8 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.gap.linear import Linearisation, curves, linearise, shifted
-from imr_torch.gap.locate import phase_clock, phase_name
 from imr_torch.gap.noise import noise_of_traces
+from imr_torch.gap.phases import phase_clock, phase_name
 from imr_torch.gap.score import LEVEL, gap_test, generic_blocks
 from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.random import child
@@ -111,7 +111,7 @@ def check_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
     """
     started = time.process_time()
     try:
-        noise = noise_of_traces(batch.experiments)
+        noise = noise_of_traces(batch.curves)
         batch = ExperimentBatch(batch.experiments, noise)
     except InputDataError as error:
         return FitTest(fit.model, None, reason=str(error))

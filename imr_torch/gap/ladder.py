@@ -11,15 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence
-from imr_torch.gap.locate import PHASES, phase_clock, phase_name
+from imr_torch.gap.phases import PHASES, noise_shares, phase_numbers
 from imr_torch.gap.score import ADEQUATE, GapTest
-from imr_torch.gap.shrinkage import HeldOut, compare, reductions
+from imr_torch.gap.shrinkage import GEL_SCATTER, HeldOut, compare, reductions
 from imr_torch.material import PARAMETERS, Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
@@ -37,16 +36,18 @@ class Left:
     """What a fit leaves in one phase of the bubble's life, root mean square over all mean curves, in R*.
 
     Args:
-        phase: one of :data:`imr_torch.gap.locate.PHASES`.
+        phase: one of :data:`imr_torch.gap.phases.PHASES`.
         misfit: of the residual beyond its noise; 0 if none.
-        noise: of the mean curves.
+        noise: of the mean curves, no more than the residuals leave room for.
         share: of the squared misfit of all phases.
+        frames: how many it has.
     """
 
     phase: str
     misfit: float
     noise: float
     share: float
+    frames: int
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Rung:
         trained: whether the fits of the held-out designs have converged.
 
     >>> from imr_torch.gap.ladder import Left
-    >>> Left("first rebound", misfit=0.008, noise=0.003, share=0.7).phase  # what a rung leaves there
+    >>> Left("first rebound", misfit=0.008, noise=0.003, share=0.7, frames=40).phase  # what a rung leaves there
     'first rebound'
     """
 
@@ -90,13 +91,13 @@ class Rung:
 
     @property
     def misfit(self) -> float:
-        """Root mean square residual beyond noise, R*."""
-        return self.test.bias_radius
+        """Root mean square residual beyond noise over all frames, R*, none where a phase has less than its noise."""
+        return _over_frames([part.misfit for part in self.left], self.left)
 
     @property
     def noise(self) -> float:
-        """Root mean square noise of the mean curves, R*, each phase by its own number of frames."""
-        return math.sqrt(sum(part.noise**2 for part in self.left) / len(self.left))
+        """Root mean square noise of the mean curves over all frames, R*."""
+        return _over_frames([part.noise for part in self.left], self.left)
 
     @property
     def converged(self) -> bool:
@@ -115,6 +116,7 @@ class Ladder:
 
     Args:
         rungs: the base model first.
+        own_gels: rungs at which every curve has a gel of its own, where that was asked (:mod:`imr_torch.gap.own_gels`).
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -132,12 +134,19 @@ class Ladder:
     """
 
     rungs: tuple[Rung, ...]
+    own_gels: tuple[Rung, ...] = ()
 
     @property
     def best(self) -> Rung:
-        """The rung that closes some of the gap on held-out designs and predicts them best; the last where none was held out."""
-        scores = [rung.log_score[0] if rung.log_score and rung.closed and rung.closed[1] > 0.0 else 0.0 for rung in self.rungs]
-        return self.rungs[-1] if self.rungs[-1].log_score is None else self.rungs[scores.index(max(scores))]
+        """The rung that closes some of the gap on held-out designs and predicts them best; the last where none was held out.
+
+        Rungs at which every curve has a gel of its own count too.
+        """
+        if self.rungs[-1].log_score is None:
+            return self.rungs[-1]
+        all_ = (*self.rungs, *self.own_gels)
+        scores = [rung.log_score[0] if rung.log_score and rung.closed and rung.closed[1] > 0.0 else 0.0 for rung in all_]
+        return all_[scores.index(max(scores))]
 
     def __str__(self) -> str:
         """One sentence on how much the best rung closes, and what is left where."""
@@ -151,7 +160,7 @@ class Ladder:
         else:
             low, middle, high = last.closed
             share = f"{verb} {middle:.2f} ({low:.2f} to {high:.2f}) of the gap on designs that the fits did not see"
-        *others, end = last.effects
+        *others, end = ("a gel of its own for each curve" if name == GEL_SCATTER else name for name in last.effects)
         named = f"{', '.join(others)} and {end}" if others else end
         if last.adequate:
             return f"{named} {share}; what is left is noise."
@@ -213,36 +222,39 @@ def with_held_out(ladder: Ladder, held: Mapping[str, Sequence[HeldOut]], *, seed
         held: name of each rung -> held-out predictions (:func:`imr_torch.gap.shrinkage.hold_out`).
         seed: of the bootstrap.
     """
-    own = {rung.name: held[rung.name] for rung in ladder.rungs}
+    own = {rung.name: held[rung.name] for rung in (*ladder.rungs, *ladder.own_gels)}
     _, closed = reductions(own, seed)
-    rungs = [ladder.rungs[0]]
-    for rung in ladder.rungs[1:]:
+
+    def judged(rung: Rung) -> Rung:
         score = compare(own, rung.name, "none")
         trained = all(design.converged for name in ("none", rung.name) for design in own[name])
-        rungs.append(
-            replace(rung, closed=closed[rung.name], log_score=(score.difference, score.standard_error), trained=trained)
-        )
-    return Ladder(tuple(rungs))
+        said = (score.difference, score.standard_error)
+        return replace(rung, closed=closed[rung.name], log_score=said, trained=trained)
+
+    return Ladder((ladder.rungs[0], *map(judged, ladder.rungs[1:])), tuple(map(judged, ladder.own_gels)))
 
 
 def left_over(fit: ModelFit, batch: ExperimentBatch) -> tuple[Left, ...]:
     """The residual of a fit beyond its noise, by phase of the bubble's life."""
-    clock = phase_clock(batch.times, fit.prediction, batch.mask)
-    phases = torch.tensor([[PHASES.index(phase_name(c)) for c in row] for row in clock.tolist()])
-    square = torch.where(batch.mask, batch.mean - fit.prediction, 0.0).square()
-    noise = torch.where(batch.mask, batch.sd(fit.prediction) / batch.counts.sqrt().clamp_min(1.0), 0.0).square()
-    sums: list[tuple[str, float, float, float]] = []
+    sd = batch.sd(fit.prediction)
+    residual = torch.where(batch.mask, batch.mean - fit.prediction, 0.0)
+    phases = torch.where(batch.mask, phase_numbers(batch.times, fit.prediction, batch.mask), -1)
+    shares = noise_shares([batch.whiten(residual, sd).square()], phases)
+    square, noise = residual.square(), shares * sd.square() / batch.counts.clamp_min(1.0)
+    sums: list[tuple[str, float, float, int]] = []
     for number, phase in enumerate(PHASES):
-        inside = (phases == number) & batch.mask
+        inside = phases == number
         if count := int(inside.sum()):
             excess = float((square - noise)[inside].sum().clamp_min(0.0))
-            sums.append((phase, excess, math.sqrt(excess / count), math.sqrt(_mean(noise, inside))))
+            sums.append((phase, excess, float(noise[inside].mean().sqrt()), count))
     total = max(sum(excess for _, excess, _, _ in sums), 1e-300)
-    return tuple(Left(phase, misfit, sd, excess / total) for phase, excess, misfit, sd in sums)
+    return tuple(Left(phase, math.sqrt(excess / count), sd, excess / total, count) for phase, excess, sd, count in sums)
 
 
-def _mean(values: Tensor, inside: Tensor) -> float:
-    return float(values[inside].mean())
+def _over_frames(values: Sequence[float], parts: Sequence[Left]) -> float:
+    """Root mean square over the frames of all phases."""
+    frames = sum(part.frames for part in parts)
+    return math.sqrt(sum(value**2 * part.frames for value, part in zip(values, parts, strict=True)) / frames)
 
 
 def _best_addition(

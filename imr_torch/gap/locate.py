@@ -18,53 +18,16 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.gap.linear import Linearisation, curves
+from imr_torch.gap.phases import phase_clock, phase_name
 from imr_torch.gap.restrict import calibrate, draw_residuals, log_p, refit, restrict
 from imr_torch.gap.score import pulse_changes, shape_rows
-from imr_torch.observe import ExperimentBatch, collapse_time
+from imr_torch.observe import ExperimentBatch
 from imr_torch.random import SeedLike
 from imr_torch.simulate import Simulator
 
-PHASES = ("start", "first collapse", "first rebound", "second collapse", "later")
-"""Phases of an event, in order."""
-
-_ENDS = (0.3, 1.25, 1.75, 2.25)  # phase clock at which each ends; what a collapse did is seen in the rise after it
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset or trend; that there is a gap at all is not decided here
-_RAYLEIGH = 0.915  # collapse time of an empty bubble, Rmax sqrt(rho/p)
 _BESIDE = 4  # designs from which on the trends in We and R_inf* are told apart
-
-
-def phase_clock(times: Tensor, prediction: Tensor, mask: Tensor) -> Tensor:
-    """How far the event has come at each frame: 0 at the start, 1 at the first collapse, 1.5 at the rebound's top, 2 ...
-
-    Args:
-        times: ``E x T`` tensor, dimensionless.
-        prediction: ``E x T`` tensor, R/Rmax of the fitted model, whose landmarks are used.
-        mask: ``E x T`` boolean tensor, frames that exist.
-
-    Returns:
-        ``E x T`` tensor; linear in time between landmarks and, after the second collapse, by the length of the first cycle.
-    """
-    return torch.stack([_clock(t, r, m) for t, r, m in zip(times, prediction, mask, strict=True)])
-
-
-def _clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
-    t, r = times[mask], radius[mask]
-    first, second = (collapse_time(t, r, number) for number in (1, 2))
-    first = _RAYLEIGH if math.isinf(first) else first
-    later = (t > first) & (t < second)
-    top = float(t[later][r[later].argmax()]) if bool(later.any()) else 2.0 * first
-    second = 2.0 * top - first if math.isinf(second) else second
-    knots = torch.tensor((0.0, first, top, second, second + (second - first)), dtype=torch.float64)
-    values = torch.tensor((0.0, 1.0, 1.5, 2.0, 3.0), dtype=torch.float64)
-    piece = (torch.searchsorted(knots, times.contiguous()) - 1).clamp(0, 3)
-    slope = (values[1:] - values[:-1]) / (knots[1:] - knots[:-1])
-    return values[piece] + slope[piece] * (times - knots[piece])
-
-
-def phase_name(clock: float) -> str:
-    """The phase at a reading of the phase clock."""
-    return PHASES[sum(clock > end + 1e-9 for end in _ENDS)]
 
 
 @dataclass(frozen=True)
@@ -73,7 +36,7 @@ class Onset:
 
     Args:
         time: dimensionless time of the last frame of the first prefix that rejects, median over experiments; NaN if none does.
-        phase: one of ``PHASES``, or ``"none"``.
+        phase: one of :data:`imr_torch.gap.phases.PHASES`, or ``"none"``.
         times: the end of each prefix, dimensionless, median over experiments.
         p_values: of each prefix, calibrated over all prefixes and tests.
         level: below which a prefix rejects.

@@ -4,7 +4,7 @@ A part that was not run is None, and the report lists it as not run.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.acts import WhereItActs, where_it_acts
@@ -16,8 +16,9 @@ from imr_torch.gap.identity_design import NextDesign, identity_design
 from imr_torch.gap.ladder import Ladder, climb, with_held_out
 from imr_torch.gap.latent import LatentPressure, latent_pressure
 from imr_torch.gap.locate import ByExperiment, Onset, by_experiment, onset
+from imr_torch.gap.own_gels import own_gel_rungs
 from imr_torch.gap.scatter import GelScatter, gel_scatter
-from imr_torch.gap.shrinkage import Shrinkage, hold_out, judge
+from imr_torch.gap.shrinkage import Shrinkage, hold_out, judge, with_scatter
 from imr_torch.gap.verdict import OTHER
 from imr_torch.gap.windows import MovingWindows, moving_windows
 from imr_torch.material import LIBRARY
@@ -99,7 +100,8 @@ def examine(
     if progress:
         progress("location, shrinkage, next design")
     here = (fit, line, batch, simulator)
-    ladder, shrunk = _closed(report, simulator, unseen, most, seed, progress)
+    scatter = gel_scatter(report, simulator, seed=child(seed, "scatter"))
+    ladder, shrunk = closed_by(report, simulator, unseen, most=most, seed=seed, scatter=scatter, progress=progress)
     return Parts(
         onset=onset(*here, seed=child(seed, "onset"), directions=directions),
         by_experiment=by_experiment(*here, seed=child(seed, "experiments"), directions=directions),
@@ -108,7 +110,7 @@ def examine(
         shrinkage=shrunk,
         ladder=ladder,
         next_design=_next(report, simulator, seed, progress),
-        scatter=gel_scatter(report, simulator, seed=child(seed, "scatter")),
+        scatter=scatter,
         acts=_acts(report, simulator, seed),
     )
 
@@ -122,21 +124,33 @@ def _acts(report: GapReport, simulator: Simulator, seed: int) -> WhereItActs | N
     return where_it_acts(named, report.line, report.batch, simulator, seed=child(seed, "acts"))
 
 
-def _closed(
+def closed_by(
     report: GapReport,
     simulator: Simulator,
-    unseen: Sequence[Experiment],
-    most: int,
-    seed: int,
-    progress: Progress | None,
+    unseen: Sequence[Experiment] = (),
+    *,
+    most: int = MOST,
+    seed: int = 0,
+    scatter: GelScatter | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Ladder, Shrinkage | None]:
     """The ladder, and the reduction of the gap by the named cause beside its best rival, None without a cause.
 
     Both are judged on the same held-out designs; without two designs the ladder says what is closed in sample only.
+
+    Args:
+        report: a diagnosis that found a gap.
+        simulator: makes the bubbles, as in the diagnosis.
+        unseen: as of :func:`examine`.
+        most: effects that the ladder adds, at most.
+        seed: of fits and bootstrap.
+        scatter: the gels of single curves, for rungs at which each has its own.
+        progress: called with one line per step.
     """
     effects = tuple(LIBRARY[name] for name in report.directions)
     inquiry, own = Inquiry(report.null.prior, effects, report.batch, simulator), child(seed, "shrinkage")
     ladder = climb(inquiry, report.null, report.gap, report.fits, most=most, seed=child(seed, "ladder"), progress=progress)
+    ladder = replace(ladder, own_gels=own_gel_rungs(scatter, report) if scatter else ())
     if not unseen and len(report.batch.experiments) < 2:
         return ladder, None
     names, found = ["none"], report.attribution
@@ -146,7 +160,10 @@ def _closed(
         names += [found.winner, *([rival] if rival else [])]
     fits = {name: report.fits[name] for name in names} | {rung.name: rung.fit for rung in ladder.rungs}
     apart = ExperimentBatch(tuple(unseen), report.batch.noise) if unseen else None
-    held = hold_out(fits, report.batch, simulator, seed=own, unseen=apart, progress=progress)
+    sds = {}
+    for name in ("none", scatter.rival) if scatter else ():
+        fits[name], sds[name] = report.fits[name], scatter.sds[with_scatter(name)]
+    held = hold_out(fits, report.batch, simulator, seed=own, unseen=apart, scatters=sds, progress=progress)
     ladder = with_held_out(ladder, held, seed=own)
     if len(names) == 1:
         return ladder, None

@@ -20,7 +20,8 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.gap.acts import WhereItActs
 from imr_torch.gap.ladder import Ladder, Rung
 from imr_torch.gap.latent import LatentPressure
-from imr_torch.gap.locate import PHASES, Onset, phase_clock, phase_name
+from imr_torch.gap.locate import Onset
+from imr_torch.gap.phases import PHASES, phase_clock, phase_name
 from imr_torch.gap.score import LEVEL, BlockResult, GapTest
 from imr_torch.gap.shrinkage import Shrinkage
 from imr_torch.gap.windows import MovingWindows

@@ -343,8 +343,8 @@ def _ladder(parts: Parts) -> tuple[str, ...]:
     if (ladder := parts.ladder) is None:
         return ("Not computed, because no gap was found.",)
     lines = [str(ladder)]
-    for rung in ladder.rungs:
-        name = " and ".join(rung.effects) or "the base model alone"
+    for rung in (*ladder.rungs, *ladder.own_gels):
+        name = " and ".join(rung.effects).replace("gel_scatter", "a gel of its own for each curve") or "the base model alone"
         line = f"{name}: misfit {rung.misfit:.4f} in R* beside noise of {rung.noise:.4f}"
         if rung.closed is not None:
             low, middle, high = rung.closed

@@ -8,15 +8,17 @@ gap test rejects no curve at its own fit. It is not asked of sets with repeats: 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
+from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import laplace_evidence
 from imr_torch.gap.score import ADEQUATE
+from imr_torch.gap.shrinkage import GEL_SCATTER, with_scatter
 from imr_torch.material import LIBRARY, Belief, Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.population import SCALE, GaussianShots, coordinate_units
@@ -41,6 +43,8 @@ class GelScatter:
         scatter: parameter -> 5, 50, 95 % quantile of its scatter: of its logarithm, or its control.
         adequacy_p: that no curve has a gap at its own fit, by the smallest p-value times the number of curves.
         converged: whether the fits of all curves have.
+        alone: hypothesis with scatter -> fit of each curve by itself.
+        sds: hypothesis with scatter -> ``d`` tensor, median scatter of each control; 0 for those that do not vary.
     """
 
     explained: Mapping[str, float]
@@ -49,6 +53,8 @@ class GelScatter:
     scatter: Mapping[str, tuple[float, float, float]]
     adequacy_p: float
     converged: bool
+    alone: Mapping[str, tuple[ModelFit, ...]] = field(default_factory=dict)
+    sds: Mapping[str, Tensor] = field(default_factory=dict)
 
     @property
     def adequate(self) -> bool:
@@ -58,7 +64,7 @@ class GelScatter:
     @property
     def is_cause(self) -> bool:
         """Whether scatter is the cause: converged, adequate, and better than every effect that was fitted, by 3 nats."""
-        behind = max((value for name, value in self.explained.items() if not name.endswith("gel_scatter")), default=0.0)
+        behind = max((value for name, value in self.explained.items() if not name.endswith(GEL_SCATTER)), default=0.0)
         return self.converged and self.adequate and self.explained[self.leading] >= max(behind, 0.0) + _FURTHER
 
     def sentences(self) -> tuple[str, ...]:
@@ -124,13 +130,13 @@ def gel_scatter(report: GapReport, simulator: Simulator, *, scale: float = SCALE
     if len(batch.experiments) < 2 or repeated or len(names) > MOST or not report.null.certificate.converged:
         return None
     found, base = report.attribution, laplace_evidence(report.null)
-    tried = {"gel_scatter": report.null}
+    tried = {GEL_SCATTER: report.null}
     explained, rival = {}, "none"
     if found is not None:
         rival = found.winner
-        tried[f"{rival}+gel_scatter"] = found.fits[rival]
+        tried[with_scatter(rival)] = found.fits[rival]
         explained[rival] = laplace_evidence(found.fits[rival]) - base
-    alone, scatter = {}, {}
+    alone, scatter, sds = {}, {}, {}
     for name, fit in tried.items():
         alone[name] = fit_alone(fit, batch, simulator, seed=child(seed, name))
         shots = GaussianShots.of_fits(alone[name], [laplace_evidence(x) for x in alone[name]])
@@ -140,11 +146,14 @@ def gel_scatter(report: GapReport, simulator: Simulator, *, scale: float = SCALE
         grid = cells(shots, fit.prior, scales)
         columns = [(n, fit.prior.names.index(n)) for n in names]
         scatter[name] = {n: _interval(grid.middle[:, i] * units[i], grid.weights) for n, i in columns}
-    leading = max(tried, key=lambda name: explained[name] + (_FURTHER if name == "gel_scatter" else 0.0))
+        sds[name] = torch.zeros(len(fit.prior.names), dtype=torch.float64)
+        for n, i in columns:
+            sds[name][i] = scatter[name][n][1] / float(units[i])
+    leading = max(tried, key=lambda name: explained[name] + (_FURTHER if name == GEL_SCATTER else 0.0))
     effects = tuple(LIBRARY[name] for name in report.directions if name in LIBRARY)
     p = _adequacy(alone[leading], effects, batch, simulator, seed=child(seed, "adequacy"))
     converged = all(fit.certificate.nearly_converged for fit in alone[leading])
-    return GelScatter(explained, leading, rival, scatter[leading], p, converged)
+    return GelScatter(explained, leading, rival, scatter[leading], p, converged, alone, sds)
 
 
 def fit_alone(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int) -> tuple[ModelFit, ...]:

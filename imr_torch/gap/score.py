@@ -17,6 +17,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.linear import Linearisation, curves
+from imr_torch.gap.phases import noise_shares, phase_numbers
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import generator
@@ -79,7 +80,8 @@ class GapTest:
     Args:
         p_value: of the smallest block p-value, calibrated for the number of blocks.
         blocks: each block's own result, smallest p-value first.
-        bias_sigma: root mean square of the residual beyond noise, in single-shot standard deviations; 0 if none.
+        bias_sigma: root mean square of the residual beyond noise, in single-shot standard deviations; 0 if none. The noise of
+            each phase counts as no more than the residuals leave room for (:func:`imr_torch.gap.phases.noise_shares`).
         bias_radius: the same in R*.
     """
 
@@ -258,11 +260,11 @@ def _power(size: float, rank: int, level: float) -> float:
 def _bias(line: Linearisation) -> tuple[float, float]:
     """Root mean square of the residual beyond noise: in single-shot sd and in R*."""
     batch = line.batch
-    residual = torch.where(batch.mask, batch.mean - line.prediction, 0.0)
     frames = batch.mask.sum()
-    weight = 1.0 / batch.counts.sqrt()
-    share = 1.0 - line.fitted.shape[1] / line.residual.shape[0]
-    excess = (residual / line.sd).square().sum() / frames - share * float((weight.square() * batch.mask).sum() / frames)
-    noise = ((line.sd * weight).square() * batch.mask).sum() / frames
-    radius = residual.square().sum() / frames - share * noise
+    residual = torch.where(batch.mask, batch.mean - line.prediction, 0.0)
+    phase = torch.where(batch.mask, phase_numbers(batch.times, line.prediction, batch.mask), -1)
+    own = noise_shares([batch.whiten(residual, line.sd).square()], phase) * (1.0 - line.fitted.shape[1] / len(line.residual))
+    own = torch.where(batch.mask, own / batch.counts.clamp_min(1.0), 0.0)  # variance of the mean, less what the fit absorbs
+    excess = ((residual / line.sd).square() - own).sum() / frames
+    radius = (residual.square() - own * line.sd.square()).sum() / frames
     return float(excess.clamp_min(0.0).sqrt()), float(radius.clamp_min(0.0).sqrt())

@@ -5,8 +5,10 @@ curve ``y`` of ``n`` repeats, single-shot noise ``sigma`` and held-out predictio
 
     D = mean((y - f)^2 / sigma^2 - 1/n),        S = 1 - D_effect / D_base,
 
-so that ``D`` is a squared bias without noise and ``S`` the part of it that is gone. Beside it stand the best rival's ``S`` and
-the difference in held-out log predictive density (Vehtari, Gelman & Gabry, Stat. Comput. 27, 2017, for its standard error).
+so that ``D`` is a squared bias without noise and ``S`` the part of it that is gone. Where the residuals of a phase are smaller
+than the noise law allows, ``sigma`` counts as what they leave room for (:func:`imr_torch.gap.phases.noise_shares`). Beside it
+stand the best rival's ``S`` and the difference in held-out log predictive density (Vehtari, Gelman & Gabry, Stat. Comput. 27,
+2017, for its standard error).
 """
 
 import math
@@ -20,7 +22,8 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
 from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
-from imr_torch.gap.linear import linearise
+from imr_torch.gap.linear import Linearisation, linearise
+from imr_torch.gap.phases import noise_shares, phase_numbers
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
@@ -31,10 +34,13 @@ from imr_torch.types import Progress
 _BOOTSTRAP = 2000
 _APART = 0.03  # prior standard deviations between the starts of a training fit: many posterior ones, and inside one basin
 _STEPS = 2  # Gauss-Newton steps for the nuisances of a held-out design
+_STEPS_OF_GELS = 5  # where the gel of a design may differ from that of the others, which need not be by little
 _ADEQUATE = 0.01
 _WIDEST = 2.0  # size of S beyond which the base leaves almost no gap to reduce
 _OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0, polish=False)  # .05 nats: below training noise
 _NONE = "none"
+GEL_SCATTER = "gel_scatter"
+"""Name of the hypothesis that the gel differs between designs."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +49,15 @@ class HeldOut:
 
     Args:
         residual: ``n_t`` tensor, data less prediction at the fitted gel.
-        by_nuisance: ``n_t x c`` tensor, change of the prediction by each nuisance of the design.
+        by_nuisance: ``n_t x c`` tensor, change of the prediction by each nuisance of the design, differences of its gel among
+            them where it may have one of its own.
         log_density: ``n_t`` tensor, log predictive density of each frame of the mean curve given those before it, nats.
         square: sum of the squared predictive residuals; chi-square with as many degrees of freedom as frames.
         counts: ``n_t`` tensor, curves behind each frame of the mean.
         converged: whether the training fit did.
         by_training: ``n_t x d`` tensor, change of the prediction by one standard deviation of each direction of the training
             fit's posterior; it is what other training data would have given.
+        phase: ``n_t`` integer tensor, number of the phase of each frame; None for a design of one phase.
     """
 
     residual: Tensor
@@ -59,6 +67,7 @@ class HeldOut:
     counts: Tensor
     converged: bool
     by_training: Tensor
+    phase: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -245,6 +254,7 @@ def hold_out(
     *,
     seed: int,
     unseen: ExperimentBatch | None = None,
+    scatters: Mapping[str, Tensor] | None = None,
     progress: Progress | None = None,
 ) -> dict[str, list[HeldOut]]:
     """Predictions of designs by hypotheses whose fits did not see them, in the order of the designs.
@@ -255,20 +265,38 @@ def hold_out(
         simulator: makes the bubbles.
         seed: of the starts.
         unseen: designs that were held out before anything was fitted; those of the batch are then not held out.
+        scatters: name of a hypothesis -> ``d`` tensor, standard deviations in controls by which the gel of each design may
+            differ from the fitted one; it is judged with them too, under its name with ``gel_scatter``.
         progress: called with one line per step.
     """
+
+    def predicted(fits: Mapping[str, ModelFit], part: ExperimentBatch) -> dict[str, HeldOut]:
+        found = {name: held_out(fit, part, simulator) for name, fit in fits.items()}
+        more = {with_scatter(name): held_out(fits[name], part, simulator, sds) for name, sds in (scatters or {}).items()}
+        return found | more
+
     if unseen is not None:
-        parts = [_part(unseen, [i]) for i in range(len(unseen.experiments))]
-        return {name: [held_out(fit, part, simulator) for part in parts] for name, fit in fits.items()}
+        parts = [predicted(fits, _part(unseen, [i])) for i in range(len(unseen.experiments))]
+        return {name: [part[name] for part in parts] for name in parts[0]}
     count = len(batch.experiments)
-    found: dict[tuple[str, int], HeldOut] = {}
+    found: dict[int, dict[str, HeldOut]] = {}
     for number, out in enumerate(default_folds(count)):
         training = [i for i in range(count) if i not in out]
         trained = _train(fits, training, batch, simulator, child(seed, "fold", number))
-        found |= {(name, i): held_out(fit, _part(batch, [i]), simulator) for name, fit in trained.items() for i in out}
+        found |= {i: predicted(trained, _part(batch, [i])) for i in out}
         if progress:
             progress(f"shrinkage: judged on {', '.join(batch.experiments[i].label for i in out)}")
-    return {name: [found[name, i] for i in range(count)] for name in fits}
+    return {name: [found[i][name] for i in range(count)] for name in found[0]}
+
+
+def with_scatter(name: str) -> str:
+    """Name of a hypothesis under which every design has a gel of its own.
+
+    >>> from imr_torch.gap.shrinkage import with_scatter
+    >>> with_scatter("none"), with_scatter("clock")
+    ('gel_scatter', 'clock+gel_scatter')
+    """
+    return GEL_SCATTER if name == _NONE else f"{name}+{GEL_SCATTER}"
 
 
 def _part(batch: ExperimentBatch, chosen: Sequence[int]) -> ExperimentBatch:
@@ -291,37 +319,48 @@ def _train(
     return dict(zip(fits, found.fits, strict=True))
 
 
-def held_out(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> HeldOut:
+def held_out(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, scatter: Tensor | None = None) -> HeldOut:
     """Predict a design that a fit did not see; its nuisances are fitted with the gel held, by their priors.
 
     Args:
         fit: the training fit.
         batch: the held-out design, alone.
         simulator: makes the bubbles.
+        scatter: ``d`` tensor, standard deviations in controls by which the gel of this design may differ from the fitted
+            one; these differences are then fitted with the nuisances. One gel for all designs when not given.
 
     Returns:
         Residuals at the fitted gel, and the predictive density with gel and nuisances integrated out (linearised).
     """
     size, columns = len(fit.mean), (batch.nuisance_sds > 0.0).any(0)
-    nuisances = torch.zeros(1, 3, dtype=torch.float64)
-    line = linearise(replace(fit, nuisances=nuisances), batch, simulator)
-    for _ in range(_STEPS if bool(columns.any()) else 0):
-        own = line.fitted[:, size:]
-        nuisances = nuisances.clone()
-        nuisances[:, columns] += torch.linalg.lstsq(own, line.residual[:, None]).solution.mT
-        line = linearise(replace(fit, nuisances=nuisances), batch, simulator)
-    data = batch.mask.numel()
-    residual, slopes = line.residual[:data], line.fitted[:data]
+    spread = torch.zeros(size, dtype=torch.float64) if scatter is None else scatter
+    own, count, data = spread > 0.0, int(columns.sum()), batch.mask.numel()
+    moved = torch.zeros(count + int(own.sum()), dtype=torch.float64)  # nuisances, then differences of the gel, standardised
+
+    def at(moved: Tensor) -> tuple[Linearisation, Tensor, Tensor]:
+        nuisances, gel = torch.zeros(1, 3, dtype=torch.float64), fit.mean.clone()
+        nuisances[0, columns], gel[own] = moved[:count], gel[own] + spread[own] * moved[count:]
+        line = linearise(replace(fit, mean=gel, nuisances=nuisances), batch, simulator)
+        slopes = line.fitted[:data]
+        return line, slopes[:, :size], torch.cat((slopes[:, size:], slopes[:, :size][:, own] * spread[own]), 1)
+
+    line, by_gel, by_own = at(moved)
+    for _ in range((_STEPS_OF_GELS if bool(own.any()) else _STEPS) if len(moved) else 0):
+        precision = torch.eye(len(moved), dtype=torch.float64) + by_own.mT @ by_own
+        moved = moved + torch.linalg.solve(precision, by_own.mT @ line.residual[:data] - moved)
+        line, by_gel, by_own = at(moved)
+    residual = line.residual[:data]
     # the predictive mean is at the fitted gel and the prior mean of the nuisances
-    centred = residual + slopes[:, size:] @ nuisances[0, columns]
-    spread = torch.cat((slopes[:, :size] @ fit.chol, slopes[:, size:]), 1)
+    centred = residual + by_own @ moved
+    spread = torch.cat((by_gel @ fit.chol, by_own), 1)
     chol = torch.linalg.cholesky(torch.eye(data, dtype=torch.float64) + spread @ spread.mT)
     innovation = torch.linalg.solve_triangular(chol, centred[:, None], upper=False)[:, 0]
     counts = batch.counts[0]
     log_scale = chol.diagonal().log() + line.sd[0].log() - 0.5 * (counts / (2.0 * math.pi)).log()
     density = -0.5 * innovation.square() - log_scale
     square, sound = float(innovation.square().sum()), fit.certificate.converged
-    return HeldOut(residual, slopes[:, size:], density, square, counts, sound, slopes[:, :size] @ fit.chol)
+    phase = phase_numbers(batch.times, batch.mean, batch.mask)[0]
+    return HeldOut(residual, by_own, density, square, counts, sound, by_gel @ fit.chol, phase)
 
 
 def reductions(
@@ -337,10 +376,12 @@ def reductions(
     source = generator(child(seed, "bootstrap"))
     count = sum(len(d.residual) for d in held[_NONE])
     noise = [torch.randn(_BOOTSTRAP, len(d.residual), generator=source, dtype=torch.float64) for d in held[_NONE]]
+    quiet = [_noise_sds([held[name][i] for name in held]) for i in range(len(noise))]
+    noise = [own * sds for own, sds in zip(noise, quiet, strict=True)]
     weights = _design_weights(len(noise), source)
     gaps, drawn = {}, {}
     for name, designs in held.items():
-        expected = [_expected(d) / count for d in designs]
+        expected = [_expected(d, sds) / count for d, sds in zip(designs, quiet, strict=True)]
         observed = [float((d.residual.square() / d.counts).sum()) / count for d in designs]
         gaps[name] = sum(observed) - sum(expected)
         trained = [float((_less_nuisances(d, d.by_training.mT).square() / d.counts).sum()) / count for d in designs]
@@ -399,10 +440,16 @@ def _less_nuisances(design: HeldOut, rows: Tensor) -> Tensor:
     return rows - torch.linalg.solve(precision, slopes.mT @ rows.mT).mT @ slopes.mT
 
 
-def _expected(design: HeldOut) -> float:
+def _noise_sds(design: Sequence[HeldOut]) -> Tensor:
+    """Noise of each frame of a design, over that of the law, from the residuals of all hypotheses."""
+    first = design[0]
+    phase = torch.zeros(len(first.residual), dtype=torch.long) if first.phase is None else first.phase
+    return noise_shares([own.residual.square() for own in design], phase).sqrt()
+
+
+def _expected(design: HeldOut, sds: Tensor) -> float:
     """Expected square of what the fit of the nuisances leaves of noise, in single-shot variances."""
-    unit = torch.eye(len(design.residual), dtype=torch.float64)
-    return float((_less_nuisances(design, unit).square() / design.counts).sum())
+    return float((_less_nuisances(design, torch.diag(sds)).square() / design.counts).sum())
 
 
 def compare(held: Mapping[str, Sequence[HeldOut]], effect: str, other: str) -> Comparison:

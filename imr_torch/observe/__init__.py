@@ -1,6 +1,7 @@
 """Stage 3, observations: reading files, landmarks, noise, and experiments as dimensionless batches."""
 
 from imr_torch.observe import formats as formats  # registers the readers of the package
+from imr_torch.observe.collapse import CollapseShot, CollapseTime, load_collapse_times
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment, ExperimentBatch, Film, predict
 from imr_torch.observe.laboratory import SimulatedLaboratory
@@ -21,6 +22,8 @@ __all__ = [
     "NUISANCES",
     "READERS",
     "SUFFIXES",
+    "CollapseShot",
+    "CollapseTime",
     "Experiment",
     "ExperimentBatch",
     "Film",
@@ -45,6 +48,7 @@ __all__ = [
     "find_landmarks",
     "fit_noise",
     "gel_medium",
+    "load_collapse_times",
     "load_traces",
     "predict",
     "prepare",

@@ -8,11 +8,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.observe.collapse import CollapseTime, predict_collapse
 from imr_torch.observe.distortion import EXPOSURE_BLUR, Distortion
 from imr_torch.observe.noise import Noise, previous
 from imr_torch.observe.nuisance import Nuisance, displaced, impossible
@@ -41,6 +43,8 @@ class Experiment:
     >>> experiment.repeats, experiment.counts.tolist()
     (2, [2, 2, 1])
     """
+
+    kind: ClassVar[str] = "radius"
 
     label: str
     design: tuple[float, float]
@@ -145,8 +149,9 @@ class ExperimentBatch:
     """Experiments padded to ``E x T``.
 
     Args:
-        experiments: the experiments.
-        noise: the law of their observation noise.
+        experiments: the experiments: curves, and shots of which the collapse time alone is known (one frame, whose value is a
+            time with an error of its own).
+        noise: the law of the observation noise of curves.
 
     >>> import torch
     >>> from imr_torch.observe import Experiment, ExperimentBatch
@@ -157,7 +162,7 @@ class ExperimentBatch:
     (12.38, -40.33)
     """
 
-    experiments: tuple[Experiment, ...]
+    experiments: tuple[Experiment | CollapseTime, ...]
     noise: Noise = field(default_factory=Noise)
 
     def __post_init__(self) -> None:
@@ -174,6 +179,23 @@ class ExperimentBatch:
         width = max(row.shape[0] for row in rows)
         padded = [torch.nn.functional.pad(row, (0, width - row.shape[0]), value=fill) for row in rows]
         return torch.stack(padded)
+
+    @cached_property
+    def curves(self) -> "tuple[Experiment, ...]":
+        """The experiments that are curves."""
+        return tuple(e for e in self.experiments if isinstance(e, Experiment))
+
+    @cached_property
+    def collapse(self) -> Tensor:
+        """``E`` boolean tensor: experiments whose datum is a collapse time."""
+        return torch.tensor([e.kind == "collapse" for e in self.experiments])
+
+    @cached_property
+    def _own_sd(self) -> Tensor:
+        """``E x 1`` tensor: errors of collapse times; 1 for curves."""
+        return torch.tensor(
+            [[e.whole_sd if isinstance(e, CollapseTime) else 1.0] for e in self.experiments], dtype=torch.float64
+        )
 
     @cached_property
     def designs(self) -> Tensor:
@@ -226,7 +248,8 @@ class ExperimentBatch:
 
     def sd(self, prediction: Tensor) -> Tensor:
         """Noise of one repeat at a prediction ``... x E x T``; 1 in the padding."""
-        return torch.where(self.mask, self.noise.sd(prediction, self.times), 1.0)
+        sd = torch.where(self.mask, self.noise.sd(prediction, self.times), 1.0)
+        return torch.where(self.collapse[:, None] & self.mask, self._own_sd, sd) if bool(self.collapse.any()) else sd
 
     def whiten(self, values: Tensor, sd: Tensor) -> Tensor:
         """Scale differences ``... x E x T`` so that the mean of the repeats has unit, independent noise."""
@@ -313,8 +336,36 @@ def predict(
     >>> [round(x, 3) for x in seen[0].tolist()]
     [1.0, 0.846, 0.418]
     """
-    designs, times, factor, beyond = film.designs, film.times if times is None else times, None, None
-    distortion = Distortion.of(parameters, film.exposures if isinstance(film, ExperimentBatch) else None)
+    designs, times = film.designs, film.times if times is None else times
+    exposures = film.exposures if isinstance(film, ExperimentBatch) else None
+    if isinstance(film, Film) or not bool(film.collapse.any()):
+        return _radii(simulator, parameters, designs, times, shifts, bundled, exposures)
+    parts, order = [], []
+    for rows in (torch.nonzero(~film.collapse)[:, 0], torch.nonzero(film.collapse)[:, 0]):
+        if not len(rows):
+            continue
+        own = None if shifts is None else shifts[..., rows, :]
+        if bool(film.collapse[rows[0]]):
+            found = predict_collapse(simulator, parameters, designs[rows], film.mean[rows, 0], own, bundled=bundled)
+            parts.append(found[..., None].expand(*found.shape, times.shape[-1]))
+        else:
+            parts.append(_radii(simulator, parameters, designs[rows], times[rows], own, bundled, film.exposures[rows]))
+        order.append(rows)
+    return torch.cat(parts, -2)[..., torch.cat(order).argsort(), :]
+
+
+def _radii(
+    simulator: Simulator,
+    parameters: Tensor,
+    designs: Tensor,
+    times: Tensor,
+    shifts: Tensor | None,
+    bundled: bool,
+    exposures: Tensor | None,
+) -> Tensor:
+    """:func:`predict` for curves, with the known exposure of each."""
+    factor, beyond = None, None
+    distortion = Distortion.of(parameters, exposures)
     if distortion is not None:
         measured = simulator.conditions.surroundings.max_radius(designs[:, 0])
         errors, beyond = distortion.shifts_of(designs, measured)

@@ -14,6 +14,7 @@ import numpy as np
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe import matlab
+from imr_torch.observe.collapse import is_collapse_file
 from imr_torch.observe.headers import heading, infer_layout
 from imr_torch.observe.layout import KNOWN_LAYOUTS, LENGTHS, TIMES, Layout
 from imr_torch.observe.raw import RawCurve
@@ -102,6 +103,10 @@ _SUFFIXES = ", ".join(SUFFIXES)
 
 def load_file(path: Path, layout: Layout | None) -> TraceSet:
     """The curves of one file, with what the JSON file beside it says."""
+    if layout is None and is_collapse_file(path):
+        raise InputDataError(
+            f"{path}: holds collapse times and no curves; characterize takes such shots (load_collapse_times reads them)."
+        )
     return Sidecar(path).added_to(read_file(path, layout))
 
 

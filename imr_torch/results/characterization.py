@@ -1,5 +1,6 @@
 """The document of a characterisation: its numbers, and the curves from which its figures are drawn again."""
 
+from dataclasses import replace
 from typing import Any
 
 from torch import Tensor
@@ -56,9 +57,28 @@ def characterization_document(
     (23, 600)
     """
     simulator = simulator if result.medium is None else result.medium.applied(simulator)
-    batch, best = result.assimilation.batch, result.posterior.best.model
-    drawn = {fit.model: dense_curve(fit, batch, simulator) for fit in result.assimilation.fits}
-    band = predictive_band(result.assimilation, result.posterior, simulator, best, draws=draws, seed=seed, times=drawn[best][0])
+    curves = _curves(result, traces, simulator, draws=draws, seed=seed) if len(traces) else []
+    left_out = [
+        {"file": x.file, "experiment": x.experiment_id, "rows": str(x.rows), "reason": x.reason} for x in traces.left_out
+    ]
+    tested = result.fit_test
+    check = None if tested is None else tested.to_dict() | {"command": command, "sentence": tested.sentence(command)}
+    return result.to_dict() | {
+        "fit_test": check,
+        "rows_left_out": left_out,
+        "notes": list(traces.notes),
+        "curves": curves,
+    }
+
+
+def _curves(result: Characterization, traces: TraceSet, simulator: Simulator, *, draws: int, seed: int) -> list[dict[str, Any]]:
+    """Every curve with its measured frames, the curves of the models and the predictive band of the most probable one."""
+    whole, best = result.assimilation, result.posterior.best.model
+    pairs = [fit.of_curves(whole.batch) for fit in whole.fits]
+    fits, batch = tuple(fit for fit, _ in pairs), pairs[0][1]
+    drawn = {fit.model: dense_curve(fit, batch, simulator) for fit in fits}
+    curves_only = replace(whole, batch=batch, fits=fits)
+    band = predictive_band(curves_only, result.posterior, simulator, best, draws=draws, seed=seed, times=drawn[best][0])
     scale = simulator.conditions.surroundings
     curves = []
     for e, (trace, use, experiment) in enumerate(zip(traces, result.frames, result.experiments, strict=True)):
@@ -79,22 +99,12 @@ def characterization_document(
                     "R_star": (trace.radius_m / marks.max_radius_m).tolist(),
                     "fitted": use.fitted,
                 },
-                "models": {fit.model: _model(fit, batch, e, drawn[fit.model]) for fit in result.assimilation.fits},
+                "models": {fit.model: _model(fit, batch, e, drawn[fit.model]) for fit in fits},
                 "band": {"model": best, "levels": LEVELS, "t_star": _numbers(drawn[best][0][e])}
                 | {name: _numbers(values[e]) for name, values in zip(("low", "median", "high"), band, strict=True)},
             }
         )
-    left_out = [
-        {"file": x.file, "experiment": x.experiment_id, "rows": str(x.rows), "reason": x.reason} for x in traces.left_out
-    ]
-    tested = result.fit_test
-    check = None if tested is None else tested.to_dict() | {"command": command, "sentence": tested.sentence(command)}
-    return result.to_dict() | {
-        "fit_test": check,
-        "rows_left_out": left_out,
-        "notes": list(traces.notes),
-        "curves": curves,
-    }
+    return curves
 
 
 def _model(fit: ModelFit, batch: ExperimentBatch, e: int, drawn: tuple[Tensor, Tensor]) -> dict[str, Any]:

@@ -32,6 +32,7 @@ from imr_torch.plot import (
     with_lengths,
 )
 from imr_torch.results.campaign_figures import campaign_figures
+from imr_torch.results.collapse import collapse_figure
 from imr_torch.results.named import NamedFigure, figure_of
 from imr_torch.results.population import population_figure
 from imr_torch.results.whole import check_characterization
@@ -84,13 +85,22 @@ def _of_characterization(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             lambda curve=curve: curve_figure(curve, document),
         )
     best = max(document["model_probabilities"], key=document["model_probabilities"].__getitem__)
-    yield NamedFigure(
-        "residuals",
-        "Residuals over the noise of the fit: over time, over radius, their autocorrelation and their quantiles. A model that "
-        "explains the curves leaves no pattern.",
-        "Four charts of standardised residuals.",
-        lambda: residuals_figure(document),
-    )
+    if document["curves"]:
+        yield NamedFigure(
+            "residuals",
+            "Residuals over the noise of the fit: over time, over radius, their autocorrelation and their quantiles. A model "
+            "that explains the curves leaves no pattern.",
+            "Four charts of standardised residuals.",
+            lambda: residuals_figure(document),
+        )
+    if document.get("collapse_times"):
+        yield NamedFigure(
+            "collapse_times",
+            "Collapse time of each shot of which no more is known, less that of the most probable model, over maximum radius "
+            "and stretch; bars: its error with the estimated scatter. A model that explains them leaves no trend.",
+            "Two scatter charts of the residuals of collapse times.",
+            lambda: collapse_figure(document),
+        )
     prior, belief = Belief.from_dict(document["prior"]), Belief.from_dict(document["belief"])
     names = belief[best].names
     for name in names:

@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 from imr_torch.assimilate import BadFrame, NoiseEdge
 from imr_torch.html import Block, Picture, Preformatted, Table, page
 from imr_torch.material import PARAMETERS, material
+from imr_torch.results.collapse import collapse_rows
 from imr_torch.results.figures import draw_figures
 from imr_torch.results.named import NamedFigure
 from imr_torch.results.population import population_block
@@ -45,7 +46,8 @@ def characterization_page(document: Mapping[str, Any], *, title: str = "", repor
     best = max(document["model_probabilities"], key=document["model_probabilities"].__getitem__)
     names = ", ".join(entry["name"] for entry in document.get("files", ()) if not entry["name"].endswith(".json"))
     tested = document["fit_test"]
-    sentence = tested["sentence"] if tested else "It was not tested whether the model explains the curves."
+    data = "curves" if document["curves"] else "collapse times"
+    sentence = tested["sentence"] if tested else f"It was not tested whether the model explains the {data}."
     warning = tested is None or not tested["explained"]
     blocks = [
         Block("The gel", (gel_table(document, best),)),
@@ -57,7 +59,8 @@ def characterization_page(document: Mapping[str, Any], *, title: str = "", repor
     blocks.append(Block("Figures", (*pictures[:_FIGURES], *failed)))
     if pictures[_FIGURES:]:
         blocks.append(Block(f"{len(pictures) - _FIGURES} more figures", tuple(pictures[_FIGURES:]), folded=True))
-    blocks.append(Block("Frames that were fitted, and why others were not", frame_lines(document), folded=True))
+    if document["curves"]:
+        blocks.append(Block("Frames that were fitted, and why others were not", frame_lines(document), folded=True))
     if len(document["models"]) > 1:
         blocks.append(Block("All models", (_models(document),), folded=True))
     blocks.append(Block("Have the fits converged?", _certificates(document), folded=True))
@@ -104,17 +107,20 @@ def gel_table(document: Mapping[str, Any], best: str) -> Table:
     rows = [("Model", f"{material(best).title}, probability {probability:.3f} among {len(document['models'])} candidate(s)")]
     for name, (low, middle, high) in document["models"][best]["intervals"].items():
         rows.append((f"{name}, {PARAMETERS[name].meaning}", PARAMETERS[name].interval(low, middle, high)))
-    rows.append(("Residual", f"{document['models'][best]['rmse']:.4f} in R* (root mean square)"))
+    unit = "R*" if document["curves"] else "t*"
+    rows.append(("Residual", f"{document['models'][best]['rmse']:.4f} in {unit} (root mean square)"))
     return Table(tuple(rows))
 
 
 def _assumed(document: Mapping[str, Any], best: str) -> Table:
     fitted = sum(c["frames"]["fitted"] for c in document["curves"])
     recorded = sum(c["frames"]["recorded"] for c in document["curves"])
-    rows = [
-        ("Curves", f"{len(document['curves'])}, taken to be of one gel: {fitted} of {recorded} frames were fitted"),
-        ("Rmax, time zero, R_inf", "measured from each curve, and uncertain in the fit"),
-    ]
+    rows = collapse_rows(document)
+    if document["curves"]:
+        rows += [
+            ("Curves", f"{len(document['curves'])}, taken to be of one gel: {fitted} of {recorded} frames were fitted"),
+            ("Rmax, time zero, R_inf", "measured from each curve, and uncertain in the fit"),
+        ]
     if blurred := [e for e in document["experiments"] if e.get("exposure_t_star")]:
         longest = max(e["exposure_t_star"] for e in blurred)
         rows.append(("Exposure", f"as stated for {len(blurred)} curve(s): radii are averaged over up to t* = {longest:.3g}"))
@@ -124,15 +130,11 @@ def _assumed(document: Mapping[str, Any], best: str) -> Table:
 def setting_rows(document: Mapping[str, Any], best: str) -> list[tuple[str, str]]:
     """What every fit assumes: bubble, noise, what is known of the model ``best``, medium, software."""
     noise = document["noise"]
-    rows = [
-        ("Bubble", _PHYSICS.get(document.get("physics", ""), "as the simulator that was given makes it")),
-        (
-            "Noise",
-            f"{noise['scale']:.2f} x the published law with {noise['scale'] * noise['floor']:.4f} in R* everywhere, "
-            + (f"correlated over {noise['correlation_time']:g} in t*" if noise["correlation_time"] else "independent frames"),
-        ),
-        *_noise_rows(document),
-    ]
+    rows = [("Bubble", _PHYSICS.get(document.get("physics", ""), "as the simulator that was given makes it"))]
+    if document.get("curves") or not document.get("collapse_times"):
+        said = f"{noise['scale']:.2f} x the published law with {noise['scale'] * noise['floor']:.4f} in R* everywhere, "
+        said += f"correlated over {noise['correlation_time']:g} in t*" if noise["correlation_time"] else "independent frames"
+        rows += [("Noise", said), *_noise_rows(document)]
     known = next((part.get("known") for part in document["belief"]["models"] if part.get("model") == best), None)
     if known:
         rows.append(("Known before", ", ".join(f"{name} = {value:g} {PARAMETERS[name].unit}" for name, value in known.items())))
@@ -204,7 +206,7 @@ def _models(document: Mapping[str, Any]) -> Table:
         shown = f"{probability:.3f}" if probability >= _IMPROBABLE else f"< {_IMPROBABLE:g}"
         values = "; ".join(f"{name} {PARAMETERS[name].interval(*triple)}" for name, triple in entry["intervals"].items())
         rows.append((material(key).title, shown, f"{entry['rmse']:.4f}", values))
-    return Table(tuple(rows), ("model", "probability", "residual (R*)", "parameters"))
+    return Table(tuple(rows), ("model", "probability", f"residual ({'R*' if document['curves'] else 't*'})", "parameters"))
 
 
 def _certificates(document: Mapping[str, Any]) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ _CURVE: dict[str, Any] = {
     "band": {"model": str, "t_star": _LIST, "low": _LIST, "high": _LIST},
 }
 _MODEL: dict[str, Any] = {"t_star": _LIST, "R_star": _LIST, "residual": _LIST, "residual_over_sd": _LIST}
+_SHOT: dict[str, Any] = {"id": str} | dict.fromkeys(("Rmax_m", "R_inf*", "t_star", "sd", "scatter", "predicted"), _NUMBER)
 _ENTRY: dict[str, Any] = {"intervals": dict, "rmse": _NUMBER, "certificate": dict, "draws": str}
 
 
@@ -49,8 +50,10 @@ def check_characterization(document: Mapping[str, Any]) -> None:
             raise _wrong(name, f"a belief of {', '.join(keys)}", f"one of {', '.join(document['model_probabilities'])}")
     _check(document["models"], dict.fromkeys(document["model_probabilities"], _ENTRY), "models")
     _check(document["model_probabilities"], dict.fromkeys(document["model_probabilities"], _NUMBER), "model_probabilities")
-    if not document["curves"]:
-        raise _wrong("curves", "empty", "a curve at least")
+    if not document["curves"] and not document.get("collapse_times"):
+        raise _wrong("curves", "empty", "a curve at least, or collapse_times")
+    for number, shot in enumerate(document.get("collapse_times") or ()):
+        _check({f"collapse_times[{number}]": shot}, {f"collapse_times[{number}]": _SHOT}, "")
     for number, curve in enumerate(document["curves"]):
         place = f"curves[{number}]"
         _check({place: curve}, {place: _CURVE}, "")

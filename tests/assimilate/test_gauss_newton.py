@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import NormalEquations, ensemble_sensitivity, normal_equations
-from imr_torch.assimilate.gauss_newton import Reduced
+from imr_torch.assimilate.gauss_newton import Reduced, inverse_chol
 
 SIZE, EXPERIMENTS, FRAMES = 3, 4, 7
 
@@ -197,3 +197,29 @@ def test_that_the_inputs_are_not_changed() -> None:
     ensemble_sensitivity(anomalies, responses)
     for old, new in zip(copies, (*given, anomalies, responses), strict=True):
         torch.testing.assert_close(old, new, rtol=0.0, atol=0.0, equal_nan=True)
+
+
+def test_that_sensitivities_of_any_size_leave_a_definite_hessian_and_a_factor_of_its_inverse() -> None:
+    """At the edge of where bubbles can be simulated a slope may be 1e9 standard deviations, and rounding 1e18 times 1e-16."""
+    gel, nuisances, by_gel, by_nuisance, residual = problem(6)
+    by_gel[3:] *= 1e9
+    by_nuisance[3:] = by_gel[3:]  # a nuisance that moves the curve as the gel does: the elimination cancels
+    found = assembled(gel, nuisances, by_gel, by_nuisance, residual)
+    smooth = assembled(gel[:3], nuisances[:3], by_gel[:3], by_nuisance[:3], residual[:3])
+    assert bool((torch.linalg.cholesky_ex(found.reduced.hessian).info == 0).all())
+    assert bool(torch.isfinite(found.posterior_chol).all())
+    assert bool((found.posterior_chol.diagonal(dim1=-2, dim2=-1) > 0.0).all())
+    assert bool(torch.isfinite(found.whitened_gradient).all())
+    assert torch.allclose(found.posterior_chol[:3], smooth.posterior_chol, rtol=1e-12)
+
+
+def test_that_the_factor_of_an_ill_conditioned_inverse_is_lower_and_right() -> None:
+    slopes = random(1, 4, 4, seed=9) * torch.tensor([1e7, 1.0, 1.0, 1e-2], dtype=torch.float64)
+    hessian = torch.eye(4, dtype=torch.float64) + slopes.mT @ slopes
+    ways = [
+        inverse_chol(hessian),
+        inverse_chol(torch.cat((hessian, torch.diag(torch.tensor([1e30, 1.0, 1.0, 1e-30]))[None])))[:1],
+    ]
+    for chol in ways:
+        assert torch.equal(chol, chol.tril())
+        assert torch.allclose(chol @ chol.mT @ hessian, torch.eye(4, dtype=torch.float64), atol=1e-6)

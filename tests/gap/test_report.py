@@ -42,7 +42,17 @@ FOUND = (
     "verdict_odds",
     "certificates",
 )
-PARTS = ("first_detected_t", "first_detected_phase", "acts", "shrinkage", "best_rival", "ladder", "gel_scatter", "next_design")
+PARTS = (
+    "first_detected_t",
+    "first_detected_phase",
+    "acts",
+    "shrinkage",
+    "best_rival",
+    "ladder",
+    "ladder_own_gels",
+    "gel_scatter",
+    "next_design",
+)
 CAUSES = (
     "posterior",
     "posterior_at_odds",

@@ -7,20 +7,25 @@ import torch
 
 from imr_torch import PolytropicSimulator
 from imr_torch.gap import GapReport, diagnose, library
+from imr_torch.gap.ladder import Ladder, Rung, left_over, with_held_out
+from imr_torch.gap.own_gels import own_gel_rungs
 from imr_torch.gap.scatter import GelScatter, gel_scatter
+from imr_torch.gap.shrinkage import hold_out
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import SimulatedLaboratory
+from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory
 
 SIMULATOR = PolytropicSimulator(threads=1)
 EFFECTS = library(["gas_loss", "surface_tension"])
 
 
+def shot(number: int, gel: dict[str, float], *, repeats: int = 1) -> Experiment:
+    laboratory = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(gel), repeats=repeats)
+    design = torch.tensor([350.0 + 120.0 * (number % 4), 0.2 + 0.03 * (number % 4)], dtype=torch.float64)
+    return laboratory.shoot(design, seed=number, label=f"shot {number}")
+
+
 def diagnosis(gels: list[dict[str, float]], *, repeats: int = 1) -> GapReport:
-    shots = []
-    for number, gel in enumerate(gels):
-        laboratory = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(gel), repeats=repeats)
-        design = torch.tensor([350.0 + 120.0 * number, 0.2 + 0.03 * number], dtype=torch.float64)
-        shots.append(laboratory.shoot(design, seed=number, label=f"shot {number}"))
+    shots = [shot(number, gel, repeats=repeats) for number, gel in enumerate(gels)]
     return diagnose(shots, effects=EFFECTS, simulator=SIMULATOR)
 
 
@@ -43,6 +48,30 @@ def test_that_gels_that_differ_are_found_and_no_gap_is_left(two_gels: tuple[GapR
     assert low < 0.3 < high  # the standard deviation of the three logarithms
     assert found.scatter["mu"][1] < 0.1
     assert "the gel differs" in " ".join(found.sentences())
+
+
+def test_that_gels_of_their_own_close_the_gap_on_curves_that_no_fit_saw(two_gels: tuple[GapReport, GelScatter]) -> None:
+    """No effect of one gel does; and a held-out curve of the fitted gel is not predicted worse for it by much."""
+    report, found = two_gels
+    rungs = own_gel_rungs(found, report)
+    assert [rung.name for rung in rungs] == ["gel_scatter", f"{found.rival}+gel_scatter"]
+    own, base = rungs[0], left_over(report.null, report.batch)
+    assert own.adequate
+    assert own.converged
+    assert own.misfit**2 < 0.1 * sum(part.misfit**2 * part.frames for part in base) / sum(part.frames for part in base)
+    shots = [shot(number, {"G": G, "mu": 0.09}) for number, G in ((5, 11e3), (6, 6e3), (7, 8e3))]
+    fits, unseen = {"none": report.null}, ExperimentBatch(tuple(shots), report.batch.noise)
+    sds = {"none": found.sds["gel_scatter"]}
+    held = hold_out(fits, report.batch, SIMULATOR, seed=0, unseen=unseen, scatters=sds)
+    ladder = Ladder((Rung((), report.null, 0.0, report.gap, base),), (own,))
+    best = with_held_out(ladder, held, seed=0).own_gels[0]
+    assert best.closed is not None
+    assert best.log_score is not None
+    assert best.closed[1] > 0.9
+    assert best.closed[0] > 0.5
+    assert best.log_score[0] > 3.0 * best.log_score[1]
+    scores = [[float(held[name][i].log_density.sum()) for name in ("none", "gel_scatter")] for i in range(3)]
+    assert scores[2][1] > scores[2][0] - 5.0  # the one of the middle gel
 
 
 def test_that_scatter_beside_an_effect_counts_the_effect_once(two_gels: tuple[GapReport, GelScatter]) -> None:

@@ -1,0 +1,230 @@
+"""What the program says of measured gels: every set of a folder by one code, and the controls that the answers must pass.
+
+  python benchmarks/real_gels.py run FOLDER --json real_gels.jsonl
+  python benchmarks/real_gels.py table --json real_gels.jsonl --page real_gels.md
+
+FOLDER holds a CSV file a gel and a JSON file beside it. `run` appends a line a set and task, and passes over what has a line.
+Of each set at most `--max-curves` are taken (default 4), evenly spread over those that can be fitted and whose tail does not
+grow again. The medium is stated (`SETS`); models with heat and vapour transport. Tasks: `characterize` (Newtonian, NHKV and
+generalised QKV), `diagnose` (the ladder on every second curve, at most four effects, and a gel of its own for each curve,
+judged on the other curves, which no fit saw) and `other half` (the other curves, for their first effect only). Two curves
+have two halves of one, one curve has none and its ladder is judged in sample. `table` writes one page, with the controls
+(`real_gels_controls.py`) and a figure a set (`real_gels_page.py`).
+"""
+
+import argparse
+import json
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from real_data import REST, chosen_files, some
+
+from imr_torch import characterize, load_traces
+from imr_torch.assimilate import SearchOptions
+from imr_torch.characterize import medium_of
+from imr_torch.errors import ImrError
+from imr_torch.gap import Ladder, diagnose, library, noise_of_traces
+from imr_torch.gap.document import ladder_document
+from imr_torch.gap.parts import closed_by
+from imr_torch.gap.scatter import gel_scatter
+from imr_torch.material import wide_prior
+from imr_torch.observe import ExperimentBatch, GelMedium, TraceSet, find_landmarks, prepare
+from imr_torch.random import child
+from imr_torch.simulate import ACCURACIES, TransportSimulator
+
+SETS: dict[str, str] = {
+    "gel03_histotripsy": "agarose_0.5,density=1002:5",
+    "gel03_laser": "agarose_0.5,density=1002:5",
+    "gel25_histotripsy": "agarose_5,density=1024:10",
+    "gel25_laser": "agarose_5,density=1024:10",
+    "water_histotripsy": "water",
+    "water_laser": "water",
+    "pa_stiff_estrada": "polyacrylamide_10",
+    "pa_soft_A_E2_002": "polyacrylamide",
+    "pa_estrada_PA1": "polyacrylamide",
+    "pegda_s5": "density=1064:21",
+    "pegda_s1": "density=1064:21",
+    "pegda_s3": "density=1064:21",
+    "gelatin_10pct": "gelatin_10",
+    "peg8k_80pct_liquid": "peg8k_80",
+    "peg8k_20pct_liquid": "peg8k_20",
+    "agarose_5pct": "agarose_5",
+    "pegda_s2": "density=1064:21",
+    "pegda_s4": "density=1064:21",
+    "peg8k_60pct_liquid": "peg8k_60",
+    "peg8k_40pct_liquid": "peg8k_40",
+    "agarose_0p5pct": "agarose_0.5",
+}
+"""Set -> stated medium, in the order in which they run. PEGDA: 1064 kg/m^3 is the default of the sources' scripts, not a
+measured value; gel03 and gel25 are agarose of .3 and 2.5 % by inference, and lie between the two that are stated."""
+
+TASKS = ("characterize", "diagnose", "other half")
+BASE, MOST, SEED = "nhkv", 4, 0
+_DROP_BEHIND = 50.0  # nats by which a model must be behind to be left there
+
+
+def traces_of(file: Path, most: int) -> tuple[TraceSet, tuple[float, float] | None]:
+    """The curves that are used, and the R_inf/Rmax that is assumed where one of them holds none."""
+    about = json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
+    grows = {row["experiment_id"] for row in about["experiments"] if row.get("late_regrowth")}
+    traces = load_traces(file)
+    names = [trace.experiment_id for trace in traces if trace.experiment_id not in grows]
+    traces = some(traces.select(names), most)
+    tail = all(find_landmarks(trace).rest_radius_m is not None for trace in traces)
+    return traces, None if tail else REST
+
+
+def characterized(file: Path, most: int, medium: str) -> dict[str, Any]:
+    """Parameters, model probabilities and noise of one gel."""
+    traces, rest = traces_of(file, most)
+    result = characterize(
+        traces,
+        simulator=TransportSimulator(accuracy=ACCURACIES["search"], threads=1),
+        options=SearchOptions(drop_behind=_DROP_BEHIND),
+        medium=medium,
+        rest_radius=rest,
+        seed=SEED,
+    )
+    document = result.to_dict()
+    for name in ("belief", "prior", "weighed_draws", "population"):
+        document.pop(name)
+    return document | {"best": result.posterior.best.model, "rest_assumed": rest is not None}
+
+
+def diagnosed(file: Path, most: int, medium: str, *, other: bool) -> dict[str, Any]:
+    """Verdict and ladder of every second curve, judged on the others; of the ``other`` half its first effect only."""
+    traces, rest = traces_of(file, most)
+    simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
+    stated = medium_of(traces, medium, simulator.conditions.surroundings)
+    simulator, base = stated.applied(simulator), stated.believed_of(wide_prior((BASE,)).models[0])
+    experiments = prepare(traces, stated.surroundings, rest_radius=rest).experiments
+    halves = experiments[::2], experiments[1::2]
+    fitted, unseen = halves[::-1] if other else halves
+    if not fitted:
+        return {"skipped": "one curve has no other half"}
+    noise, count = noise_of_traces(fitted), 1 if other else MOST
+    effects, seed = _effects(stated), child(SEED, "other" if other else "first")
+    report = diagnose(
+        fitted, base=base, effects=effects, noise=noise, simulator=simulator, most=min(count, 2), seed=seed, progress=_progress
+    )
+    row = {
+        "curves": [e.label for e in fitted],
+        "unseen": [e.label for e in unseen],
+        "rest_assumed": rest is not None,
+        "noise": vars(noise),
+        "verdict": report.verdict,
+        "cause": list(report.cause),
+        "reason": report.reason,
+        "p_gap": report.gap.p_value,
+        "posterior": None if report.attribution is None else report.attribution.posterior,
+        "seconds_diagnose": time.process_time() - _started[-1],
+    }
+    if not report.found:
+        return row | {"converged": report.converged, "ladder": None, "shown": _shown(report.batch, {"none": report.null})}
+    ladder = closed_by(
+        report,
+        simulator,
+        unseen,
+        most=count,
+        seed=seed,
+        scatter=None if other else gel_scatter(report, simulator, seed=child(seed, "scatter")),
+        progress=_progress,
+    )[0]
+    fits = {rung.name: rung.fit for rung in (ladder.rungs[0], ladder.rungs[-1])}
+    own = ladder_document(Ladder(ladder.own_gels))
+    said = {"converged": report.converged, "ladder": ladder_document(ladder), "own_gels": own, "sentence": str(ladder)}
+    return row | said | {"shown": _shown(report.batch, fits)}
+
+
+def _effects(medium: GelMedium) -> tuple[Any, ...]:
+    """The library less what is inferred with the medium."""
+    return tuple(effect for effect in library(base=BASE) if not set(effect.names) & set(medium.priors))
+
+
+def _shown(batch: ExperimentBatch, fits: dict[str, Any]) -> list[dict[str, Any]]:
+    """Curves, their noise under the base model, and predictions, for figures and residuals."""
+    sd, base = batch.sd(next(iter(fits.values())).prediction), []
+    for e, experiment in enumerate(batch.experiments):
+        seen = batch.mask[e]
+        values = {"t": batch.times[e], "R": batch.mean[e], "sd": sd[e]}
+        values |= {name: fit.prediction[e] for name, fit in fits.items()}
+        rounded = {name: [round(x, 5) for x in row[seen].tolist()] for name, row in values.items()}
+        base.append({"id": experiment.label, "We": experiment.design[0], "R_inf*": experiment.design[1]} | rounded)
+    return base
+
+
+_started = [0.0]
+
+
+def _progress(text: str) -> None:
+    if not text.startswith("assimilation"):
+        print(f"  {time.process_time() - _started[-1]:6.1f} s  {text}", flush=True)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Append what is missing to the record."""
+    warnings.simplefilter("ignore")
+    torch.set_num_threads(1)
+    path, files = Path(args.json), {f.stem: f for f in chosen_files(args.folder, None)}
+    names = [name for name in SETS if name in files and (args.sets is None or name.startswith(tuple(args.sets.split(","))))]
+    done = {(row["set"], row["task"]) for row in rows(path)}
+    tasks: dict[str, Callable[[Path, int, str], dict[str, Any]]] = {
+        "characterize": characterized,
+        "diagnose": lambda *given: diagnosed(*given, other=False),
+        "other half": lambda *given: diagnosed(*given, other=True),
+    }
+    with path.open("a", encoding="utf-8") as stream:
+        for name, task in ((name, task) for name in names for task in args.tasks.split(",")):
+            if (name, task) in done:
+                continue
+            print(f"{name}: {task}", flush=True)
+            _started.append(time.process_time())
+            row: dict[str, Any] = {"set": name, "task": task, "stated": SETS[name], "max_curves": args.max_curves}
+            try:
+                row |= tasks[task](files[name], args.max_curves, SETS[name])
+            except (ImrError, RuntimeError) as error:  # torch reports a singular matrix as the latter
+                row["failure"] = f"{type(error).__name__}: {error}"
+            row["cpu"] = time.process_time() - _started[-1]
+            stream.write(json.dumps(row) + "\n")
+            stream.flush()
+            print(f"  done in {row['cpu']:.1f} s{': ' + row['failure'] if 'failure' in row else ''}", flush=True)
+
+
+def rows(path: Path) -> list[dict[str, Any]]:
+    """The lines of a record; none where there is no file."""
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
+
+
+def table(args: argparse.Namespace) -> None:
+    """Write the page."""
+    from real_gels_page import write_page
+
+    write_page(rows(Path(args.json)), Path(args.page))
+    print(f"wrote {args.page}")
+
+
+def main() -> None:
+    """Parse and run."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True)
+    work = commands.add_parser("run")
+    work.add_argument("folder", type=Path)
+    work.add_argument("--sets", help="only sets whose names begin with one of these, comma-separated")
+    work.add_argument("--tasks", default=",".join(TASKS), help="comma-separated")
+    work.add_argument("--max-curves", type=int, default=4, help="most curves of a set; 0 for all")
+    work.set_defaults(function=run)
+    show = commands.add_parser("table")
+    show.add_argument("--page", default="real_gels.md", help="figures go into a folder of that name beside it")
+    show.set_defaults(function=table)
+    for command in (work, show):
+        command.add_argument("--json", default="real_gels.jsonl", help="the record, one JSON line a set and task")
+    args = parser.parse_args()
+    args.function(args)
+
+
+if __name__ == "__main__":
+    main()

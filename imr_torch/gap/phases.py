@@ -1,0 +1,92 @@
+"""Phases of a bubble's life, and those in which the residuals show less noise than the noise law says.
+
+A published law of the noise may say several times too much in one phase, late in the tail of a viscous bubble above all. Where
+squared residuals less that noise are summed over all phases, such a phase cancels a misfit elsewhere. So noise counts, in
+each phase, as no more than the residuals leave room for.
+"""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from scipy.stats import chi2
+from torch import Tensor
+
+from imr_torch.observe import collapse_time
+
+PHASES = ("start", "first collapse", "first rebound", "second collapse", "later")
+"""Phases of an event, in order."""
+
+_ENDS = (0.3, 1.25, 1.75, 2.25)  # phase clock at which each ends; what a collapse did is seen in the rise after it
+_RAYLEIGH = 0.915  # collapse time of an empty bubble, Rmax sqrt(rho/p)
+_QUIET = 1e-3  # chance of so small a sum of squares under the law, below which the law says too much
+
+
+def phase_clock(times: Tensor, prediction: Tensor, mask: Tensor) -> Tensor:
+    """How far the event has come at each frame: 0 at the start, 1 at the first collapse, 1.5 at the rebound's top, 2 ...
+
+    Args:
+        times: ``E x T`` tensor, dimensionless.
+        prediction: ``E x T`` tensor, R/Rmax of the fitted model, whose landmarks are used.
+        mask: ``E x T`` boolean tensor, frames that exist.
+
+    Returns:
+        ``E x T`` tensor; linear in time between landmarks and, after the second collapse, by the length of the first cycle.
+    """
+    return torch.stack([_clock(t, r, m) for t, r, m in zip(times, prediction, mask, strict=True)])
+
+
+def _clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
+    t, r = times[mask], radius[mask]
+    first, second = (collapse_time(t, r, number) for number in (1, 2))
+    first = _RAYLEIGH if math.isinf(first) else first
+    later = (t > first) & (t < second)
+    top = float(t[later][r[later].argmax()]) if bool(later.any()) else 2.0 * first
+    second = 2.0 * top - first if math.isinf(second) else second
+    knots = torch.tensor((0.0, first, top, second, second + (second - first)), dtype=torch.float64)
+    values = torch.tensor((0.0, 1.0, 1.5, 2.0, 3.0), dtype=torch.float64)
+    piece = (torch.searchsorted(knots, times.contiguous()) - 1).clamp(0, 3)
+    slope = (values[1:] - values[:-1]) / (knots[1:] - knots[:-1])
+    return values[piece] + slope[piece] * (times - knots[piece])
+
+
+def phase_name(clock: float) -> str:
+    """The phase at a reading of the phase clock."""
+    return PHASES[sum(clock > end + 1e-9 for end in _ENDS)]
+
+
+def phase_numbers(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
+    """Number of the phase of each frame in ``PHASES``: ``E x T`` integer tensor; arguments as of :func:`phase_clock`."""
+    ends = torch.tensor(_ENDS, dtype=torch.float64) + 1e-9
+    return torch.searchsorted(ends, phase_clock(times, radius, mask).contiguous())
+
+
+def noise_shares(squares: Sequence[Tensor], phase: Tensor) -> Tensor:
+    """How much of the law's variance counts in each frame, 1 or less: what residuals leave room for in its phase.
+
+    It is less than 1 only where the sum of squares of a phase has a chance below .001 under the law, under the hypothesis
+    that leaves least there; it is then the mean square.
+
+    Args:
+        squares: of each hypothesis, squared residuals in units of the law's variance, independent between frames; tensors of
+            one shape.
+        phase: of each frame, same shape; frames of number -1 do not count.
+
+    Returns:
+        Tensor of that shape.
+
+    >>> import torch
+    >>> from imr_torch.gap.phases import noise_shares
+    >>> phase = torch.tensor([0] * 50 + [1] * 50)
+    >>> squares = torch.cat((torch.full((50,), 4.0), torch.full((50,), 0.1)))  # too little scatter in the second phase
+    >>> [round(share, 3) for share in noise_shares([squares], phase)[[0, 50]].tolist()]
+    [1.0, 0.1]
+    """
+    shares = torch.ones_like(squares[0])
+    for number in phase[phase >= 0].unique().tolist():
+        inside = phase == number
+        count = int(inside.sum())
+        least = min(float(own[inside].sum()) for own in squares)
+        if least < float(chi2.ppf(_QUIET, count)):
+            shares[inside] = least / count
+    return shares

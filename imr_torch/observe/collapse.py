@@ -1,0 +1,358 @@
+"""Collapse times as data: shots of which Rmax, the stretch Rmax/R_inf and the time of the first collapse are known alone.
+
+A :class:`CollapseTime` is an experiment with one datum of another kind than a radius; it stands in an
+:class:`imr_torch.observe.ExperimentBatch` beside curves, so that fits, draws and evidence need not know. Its likelihood is
+Gaussian in the time of the first minimum of the simulated radius. Rmax and R_inf are nuisances of the shot with their errors.
+
+The minimum is where the wall's velocity changes sign, by a cubic through radius and velocity at both ends of an interval of the
+output; in three passes the intervals shrink to 1e-5 of the collapse time. Rheometry from collapse times alone: Zhu et al.,
+Soft Matter (2025), doi 10.1039/D5SM00397K, where the collapse time is a formula; here the bubble is simulated.
+"""
+
+import csv
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar
+
+import torch
+from scipy.special import ndtri, stdtrit
+from torch import Tensor
+
+from imr_torch.errors import InputDataError
+from imr_torch.observe.distortion import Distortion
+from imr_torch.observe.medium import Statement
+from imr_torch.observe.nuisance import Nuisance, displaced
+from imr_torch.observe.sidecar import Sidecar
+from imr_torch.simulate import Simulator, check_designs
+from imr_torch.units import Surroundings
+
+RESOLUTION_S = 20e-9
+"""Error of a collapse time that a file does not state: what Zhu et al. (2025) give for theirs."""
+
+_COLUMNS = ("experiment_id", "rmax_m", "stretch", "collapse_time_s")
+_ERRORS = {"collapse_time_sd_s": "collapse_time_sd_s", "rmax_sd_m": "max_radius_sd_m", "stretch_sd": "stretch_sd"}
+_FLOOR = Nuisance(max_radius=0.003, rest_radius=0.01)  # as of curves: pixel size and edge detection
+_SMALLEST = 0.1  # of a true Rmax, over the measured one
+_GRID = torch.cat(
+    [torch.linspace(a, b, n + 1, dtype=torch.float64)[:-1] for a, b, n in ((0.0, 0.7, 40), (0.7, 1.3, 120), (1.3, 2.5, 60))]
+)  # output times over the measured collapse time, in which an interval with the minimum is found
+_USUAL = 160  # of these times, up to 1.3
+_AROUND = 0.03 * torch.sinh(torch.linspace(-6.0, 6.0, 121, dtype=torch.float64)) / math.sinh(6.0)
+"""Output times about that, over the measured collapse time: 1.5e-5 apart at its middle and .003 at its ends."""
+_CLOSE = torch.linspace(-2e-4, 2e-4, 41, dtype=torch.float64)
+"""Output times about what these give. With them the time of the minimum is as smooth in the gel as the solver's output."""
+_RANGES = {"rmax_m": (1e-6, 1e-2), "stretch": (1.2, 100.0), "collapse_time_s": (1e-8, 1e-2)}
+
+
+@dataclass(frozen=True)
+class CollapseShot:
+    """What a laboratory knows of one shot, in SI units.
+
+    Args:
+        experiment_id: its name.
+        max_radius_m: maximum radius, m.
+        stretch: Rmax/R_inf.
+        collapse_time_s: from the maximum to the first collapse, s.
+        collapse_time_sd_s: its error, s.
+        max_radius_sd_m: error of Rmax, m; .3 % when not given.
+        stretch_sd: error of the stretch; 1 % when not given.
+        source: the file.
+        stated: what the file beside states of the medium.
+
+    >>> from imr_torch.observe import CollapseShot
+    >>> from imr_torch.units import Surroundings
+    >>> shot = CollapseShot("a", 340e-6, 8.0, 30.5e-6).to_experiment(Surroundings(density=998.2))
+    >>> round(shot.time, 3), round(shot.design[1], 3)  # in Rmax/U_c, and R_inf*
+    (0.904, 0.125)
+    """
+
+    experiment_id: str
+    max_radius_m: float
+    stretch: float
+    collapse_time_s: float
+    collapse_time_sd_s: float = RESOLUTION_S
+    max_radius_sd_m: float | None = None
+    stretch_sd: float | None = None
+    source: str = "the caller"
+    stated: Statement | None = None
+
+    def __post_init__(self) -> None:
+        values = (self.max_radius_m, self.stretch, self.collapse_time_s)
+        for (name, (low, high)), value in zip(_RANGES.items(), values, strict=True):
+            if not low <= value <= high:
+                raise InputDataError(
+                    f"{self.source}: experiment '{self.experiment_id}': {name} is {value:g}; expected "
+                    f"{low:g} to {high:g}, in SI units."
+                )
+        for name in ("collapse_time_sd_s", "max_radius_sd_m", "stretch_sd"):
+            sd = getattr(self, name)
+            if sd is not None and not 0.0 < sd < math.inf:
+                raise InputDataError(
+                    f"{self.source}: experiment '{self.experiment_id}': {name} is {sd:g}; expected an error above 0, or leave "
+                    "it out."
+                )
+
+    def to_experiment(self, surroundings: Surroundings) -> "CollapseTime":
+        """The shot in dimensionless form."""
+        top, scale = self.max_radius_m, surroundings.time_scale(self.max_radius_m)
+        nuisance = Nuisance(
+            max_radius=_FLOOR.max_radius if self.max_radius_sd_m is None else self.max_radius_sd_m / top,
+            rest_radius=_FLOOR.rest_radius if self.stretch_sd is None else self.stretch_sd / self.stretch,
+        )
+        design = (surroundings.weber(top), 1.0 / self.stretch)
+        time = self.collapse_time_s / scale
+        if not 0.3 <= time <= 6.0:
+            raise InputDataError(
+                f"{self.source}: experiment '{self.experiment_id}': the collapse is at t* = {time:.2g} (an empty "
+                "cavity: .915); check the units of rmax_m and collapse_time_s."
+            )
+        return CollapseTime(self.experiment_id, design, time, self.collapse_time_sd_s / scale, nuisance)
+
+
+@dataclass(frozen=True)
+class CollapseTime:
+    """One shot whose only datum is its first collapse time; an experiment of one frame, whose value is a time.
+
+    Args:
+        label: name in reports.
+        design: (We, R_inf*) as measured.
+        time: of the first collapse after the maximum, dimensionless.
+        sd: its error, dimensionless.
+        nuisance: errors of Rmax and R_inf; that of time zero is 0, as it is part of ``sd``.
+        scatter: further error, added in quadrature, as estimated from the shots themselves.
+
+    >>> from imr_torch.observe import CollapseTime
+    >>> CollapseTime("a", (240.0, 0.13), 0.91, 0.0006).mean.tolist()
+    [0.91]
+    """
+
+    kind: ClassVar[str] = "collapse"
+    has_gaps: ClassVar[bool] = False
+    exposure: ClassVar[float] = 0.0
+    repeats: ClassVar[int] = 1
+
+    label: str
+    design: tuple[float, float]
+    time: float
+    sd: float
+    nuisance: Nuisance = field(default_factory=Nuisance)
+    scatter: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_designs(torch.tensor([self.design], dtype=torch.float64))
+        if not (0.0 < self.time < math.inf and 0.0 < self.sd < math.inf and 0.0 <= self.scatter < math.inf):
+            raise InputDataError(
+                f"CollapseTime {self.label!r} has time {self.time:g}, sd {self.sd:g} and scatter {self.scatter:g}; expected "
+                "finite numbers, time and sd above 0."
+            )
+        if self.nuisance.time_zero:
+            raise InputDataError(f"CollapseTime {self.label!r}: put the error of time zero into sd, and 0 into its nuisance.")
+
+    @cached_property
+    def times(self) -> Tensor:
+        """A tensor of one number, the measured time."""
+        return torch.tensor([self.time], dtype=torch.float64)
+
+    @property
+    def mean(self) -> Tensor:
+        """The datum, a tensor of one number."""
+        return self.times
+
+    @property
+    def radius(self) -> Tensor:
+        """The datum as the one repeat's: ``1 x 1``."""
+        return self.times[None]
+
+    @property
+    def counts(self) -> Tensor:
+        """One repeat."""
+        return torch.ones(1, dtype=torch.long)
+
+    @property
+    def whole_sd(self) -> float:
+        """Error of the time with the scatter."""
+        return math.hypot(self.sd, self.scatter)
+
+    def at(self, frames: Tensor) -> "CollapseTime":
+        """Itself: it has one datum."""
+        return self
+
+    def until(self, last: float) -> "CollapseTime":
+        """Itself: no window applies."""
+        return self
+
+
+def first_minimum(times: Tensor, radius: Tensor, velocity: Tensor) -> Tensor:
+    """Time of the first minimum of curves, where the velocity changes sign; NaN for a curve without one.
+
+    Args:
+        times: ``... x n`` tensor, increasing.
+        radius: ``... x n`` tensor.
+        velocity: ``... x n`` tensor.
+
+    >>> import torch
+    >>> from imr_torch.observe.collapse import first_minimum
+    >>> times = torch.linspace(0.0, 9.0, 46, dtype=torch.float64)
+    >>> round(float(first_minimum(times, 1.1 + torch.cos(times), -torch.sin(times))), 5)
+    3.14159
+    """
+    turns = (velocity[..., :-1] < 0.0) & (velocity[..., 1:] >= 0.0)
+    left = (turns.cumsum(-1) == 0).sum(-1, keepdim=True).clamp_max(turns.shape[-1] - 1)  # intervals before the first
+    shape = turns.shape[:-1]
+
+    def ends(values: Tensor) -> tuple[Tensor, Tensor]:
+        whole = values.expand(*shape, values.shape[-1])
+        return whole.gather(-1, left)[..., 0], whole.gather(-1, left + 1)[..., 0]
+
+    (t0, t1), (r0, r1), (u0, u1) = ends(times), ends(radius), ends(velocity)
+    h, rise = t1 - t0, r1 - r0
+    u0, u1 = u0 * h, u1 * h
+    a, b = 3.0 * (u0 + u1 - 2.0 * rise), 2.0 * (3.0 * rise - 2.0 * u0 - u1)
+    share = -2.0 * u0 / (b + (b * b - 4.0 * a * u0).clamp_min(0.0).sqrt())
+    return torch.where(turns.any(-1), t0 + h * share.clamp(0.0, 1.0), torch.nan)
+
+
+def predict_collapse(
+    simulator: Simulator,
+    parameters: Tensor,
+    designs: Tensor,
+    measured: Tensor,
+    shifts: Tensor | None = None,
+    *,
+    bundled: bool = False,
+) -> Tensor:
+    """Collapse times that would be measured of each gel in each shot: ``batch_shape x E``, dimensionless; NaN without one.
+
+    Args:
+        simulator: makes the bubbles.
+        parameters: ``batch_shape x p`` tensor, SI.
+        designs: ``E x 2`` tensor, measured.
+        measured: ``E`` tensor, measured times; a collapse is looked for up to two and a half times as late.
+        shifts: ``batch_shape x E x 3`` tensor of nuisances in physical size.
+        bundled: as for :func:`imr_torch.observe.predict`.
+    """
+    times = measured[:, None] * _GRID.to(measured)
+    distortion = Distortion.of(parameters)
+    if distortion is not None:
+        errors = distortion.shifts_of(designs, simulator.conditions.surroundings.max_radius(designs[:, 0]))[0]
+        shifts = errors if shifts is None else shifts + errors
+    shifts = torch.zeros(*designs.shape[:-1], 3).to(designs) if shifts is None else shifts
+    lost = ~((1.0 + shifts[..., 0] >= _SMALLEST) & torch.isfinite(shifts).all(-1))
+    shifts = torch.where(lost[..., None], 0.0, shifts)
+    designs, scale = displaced(designs, times, shifts)[::2]
+    rate = torch.ones_like(scale[..., 0])
+    if distortion is not None:
+        designs, rate = distortion.placed(designs, times)[0], torch.exp(distortion.clock)
+
+    def solved(times: Tensor) -> tuple[Tensor, Tensor]:
+        if not bundled:
+            solution = simulator(parameters[..., None, :], designs, times)
+            return solution.radius, solution.velocity
+        inputs = (x if x.ndim > 2 else x[None] for x in (parameters[..., None, :], designs, times))
+        solution = simulator.bundle(*(x.transpose(-3, -2) for x in inputs))
+        return solution.radius.transpose(-3, -2), solution.velocity.transpose(-3, -2)
+
+    found = first_minimum(times[..., :_USUAL], *solved(times[..., :_USUAL]))
+    if bool(torch.isnan(found).any()):
+        found = first_minimum(times, *solved(times))
+    for about in (_AROUND, _CLOSE):
+        near = torch.where(torch.isnan(found), measured, found)[..., None] + about * measured[:, None]
+        found = torch.where(torch.isnan(found), torch.nan, first_minimum(near, *solved(near)))
+    return torch.where(lost, torch.nan, found / rate * scale[..., 0] - shifts[..., 1])
+
+
+def is_collapse_file(path: str | Path) -> bool:
+    """Whether a file is a table of collapse times, by its header."""
+    try:
+        with Path(path).open(encoding="utf-8-sig") as stream:
+            return set(_COLUMNS) <= {cell.strip() for cell in stream.readline().split(",")}
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
+    r"""Read shots from tables with the columns ``experiment_id, rmax_m, stretch, collapse_time_s``, one row a shot.
+
+    Args:
+        paths: CSV files; further columns ``collapse_time_sd_s``, ``rmax_sd_m`` and ``stretch_sd`` give errors. A JSON file of
+            the same name beside each may state the medium.
+
+    Raises:
+        InputDataError: for a missing column, a cell that is no number, a value that no bubble has, or a repeated name.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from imr_torch.observe import load_collapse_times
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "shots.csv"
+    ...     _ = path.write_text("experiment_id,rmax_m,stretch,collapse_time_s\\na,3.4e-4,8.0,3.05e-5\\n")
+    ...     load_collapse_times(path)[0].stretch
+    8.0
+    """
+    shots: list[CollapseShot] = []
+    for path in map(Path, paths):
+        if not is_collapse_file(path):
+            raise InputDataError(f"{path}: is no table of collapse times; expected the columns {', '.join(_COLUMNS)}.")
+        stated = Sidecar(path).stated
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            for line, row in enumerate(csv.DictReader(stream, skipinitialspace=True), start=2):
+                shots.append(_shot(row, f"{path}, line {line}", str(path), stated))
+    names = [shot.experiment_id for shot in shots]
+    double = next((name for name in names if names.count(name) > 1), None)
+    if not shots or double is not None:
+        raise InputDataError(f"{paths[0]}: " + ("holds no shot." if not shots else f"experiment_id '{double}' occurs twice."))
+    return tuple(shots)
+
+
+def _shot(row: dict[str, str], where: str, source: str, stated: Statement | None) -> CollapseShot:
+    def number(column: str) -> float:
+        try:
+            return float(row[column])
+        except (TypeError, ValueError):
+            raise InputDataError(f"{where}: {column} is {row[column]!r}; expected a number in SI units.") from None
+
+    errors = {name: number(column) for column, name in _ERRORS.items() if row.get(column)}
+    return CollapseShot(
+        row["experiment_id"], *(number(column) for column in _COLUMNS[1:]), **errors, source=source, stated=stated
+    )
+
+
+def serial_correlation(values: Tensor, order: Tensor) -> float:
+    """Correlation of each value with the next one in an order, times the root of their number: standard normal if independent.
+
+    Args:
+        values: ``n`` tensor of residuals.
+        order: ``n`` tensor by which they are sorted.
+
+    >>> import torch
+    >>> from imr_torch.observe.collapse import serial_correlation
+    >>> order = torch.linspace(0.0, 1.0, 64, dtype=torch.float64)
+    >>> round(serial_correlation(torch.cos(6.0 * order), order), 1)
+    7.8
+    """
+    sorted_values = values[order.argsort()]
+    product = (sorted_values[1:] * sorted_values[:-1]).sum()
+    return float(product / values.square().sum().clamp_min(1e-300)) * math.sqrt(len(values))
+
+
+def scatter_of(missed: Tensor, variance: Tensor, fitted: float) -> float:
+    """Further error of each time, dimensionless, with which chi-square equals its degrees of freedom; 0 if it is below.
+
+    As it is plugged in, it is larger by the ratio of the 95 % quantiles of Student's t (of those degrees of freedom) and of the
+    normal distribution: so 90 % intervals that it dominates account for how few shots it is estimated from.
+
+    Args:
+        missed: ``n`` tensor, measured less predicted time, nuisances at their prior means.
+        variance: ``n`` tensor, its variance by the stated errors alone.
+        fitted: degrees of freedom that the fit of the gel took.
+    """
+    free = len(missed) - fitted
+    if free < 1.0 or float((missed.square() / variance).sum()) <= free:
+        return 0.0
+    low, high = 0.0, float(missed.square().max().sqrt()) * math.sqrt(len(missed))
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if float((missed.square() / (variance + middle**2)).sum()) > free else (low, middle)
+    return high * float(stdtrit(free, 0.95) / ndtri(0.95))

@@ -1,0 +1,64 @@
+"""Tables of collapse times on the command line: result, figure and page; options about curves are refused beside them."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from imr_torch.cli import main
+from imr_torch.observe import load_collapse_times
+from imr_torch.results import characterization_page, draw_figures
+
+DATA = Path(__file__).parents[1] / "tutorials" / "data"
+QUICK = ["--physics", "polytropic", "--models", "nhkv", "--quiet"]
+TABLE = DATA / "pimr_pa_05.csv"
+
+
+@pytest.fixture(autouse=True)
+def keep_threads():
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def test_that_a_table_gives_result_figure_and_page(tmp_path, capsys) -> None:
+    names = ",".join(f"pimr_pa_05_{i:02d}" for i in range(1, 14))
+    page, out = tmp_path / "page.html", tmp_path / "out"
+    code = main(["characterize", str(TABLE), *QUICK, "--experiments", names, "--html", str(page), "--out", str(out)])
+    assert code == 0
+    said, document = capsys.readouterr().out, json.loads((out / "characterize.json").read_text())
+    assert "13 shot(s) of which the collapse time alone is known" in said
+    assert "density 998.2 kg/m^3 (polyacrylamide" in said  # stated in the JSON beside
+    assert [x["id"] for x in document["collapse_times"]] == names.split(",")
+    assert document["curves"] == []
+    assert document["collapse_times"][0]["Rmax_m"] == pytest.approx(3.4017647e-4, rel=1e-6)
+    assert abs(document["collapse_times"][0]["t_star"] - document["collapse_times"][0]["predicted"]) < 0.03
+    low, middle, high = document["models"]["nhkv"]["intervals"]["G"]
+    assert 500.0 < low < middle < high < 20e3
+    assert "Error of a collapse time" in page.read_text()
+    assert "root mean square" in page.read_text()
+    assert (out / "collapse_times.png").exists()
+    assert "collapse_times" in [figure.name for figure in draw_figures(document)]
+    assert "It was not tested whether the model explains the collapse times" in characterization_page(document)
+
+
+@pytest.mark.parametrize("option", ["--each", "--scores", "--population"])
+def test_that_options_about_curves_are_refused(option: str, capsys) -> None:
+    assert main(["characterize", str(TABLE), *QUICK, option]) == 2
+    assert f"{option} is about curves, and {TABLE} holds collapse times" in capsys.readouterr().err
+
+
+def test_that_other_commands_and_unknown_names_are_refused(capsys) -> None:
+    assert main(["diagnose", str(TABLE), "--physics", "polytropic", "--quiet"]) == 2
+    assert "holds collapse times and no curves" in capsys.readouterr().err
+    assert main(["characterize", str(TABLE), *QUICK, "--experiments", "nobody"]) == 2
+    assert "nobody" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "count"), [("pimr_pa_05", 52), ("pimr_pa_10", 39)])
+def test_that_the_data_carry_their_notice(name: str, count: int) -> None:
+    document = json.loads((DATA / f"{name}.json").read_text())
+    assert document["licence"] == "BSD-3-Clause, Copyright (c) 2025, Zhiren Zhu"
+    assert "Redistributions of source code must retain the above copyright notice" in document["licence_text"]
+    assert len(load_collapse_times(DATA / f"{name}.csv")) == count
