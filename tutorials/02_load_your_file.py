@@ -1,5 +1,8 @@
 # %% [markdown]
 # # Load your file
+# You will be able to load files of your camera, whatever their columns are called, and get properties with intervals. Takes
+# a minute and a half on one core.
+#
 # From the file your camera software wrote to properties with intervals. We load a CSV that ships with the project,
 # then build files with the usual troubles and see what the loader says.
 

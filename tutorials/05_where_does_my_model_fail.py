@@ -1,5 +1,8 @@
 # %% [markdown]
 # # Where does my model fail?
+# You will be able to ask whether your model explains your curves, and which effect it may lack. Takes some five minutes on
+# one core.
+#
 # A fit always returns numbers. Whether the model behind them is right is another question: refitting hides most of a missing
 # effect in biased parameters. We keep an effect secret, let the diagnosis look for it, and then look at a file.
 
