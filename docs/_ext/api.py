@@ -105,7 +105,7 @@ def page(package: str, question: str, found: list[Entry]) -> str:
             lines += [f".. py:data:: {entry.module}.{entry.name}", "", *(f"   {line}" for line in text), ""]
             continue
         lines += [f".. auto{entry.kind}:: {entry.module}.{entry.name}"]
-        lines += ["   :members:", "   :show-inheritance:"] if entry.kind == "class" else []
+        lines += ["   :members:"] if entry.kind == "class" else []
         lines += [""]
     return "\n".join(lines)
 

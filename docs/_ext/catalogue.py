@@ -148,7 +148,7 @@ def likeness_text(found: LookAlikes, name: str) -> str:
     """The table of look-alikes, or why there is none."""
     if name not in found.left:
         return "To first order G, mu, Rmax, time zero and R_inf absorb all that it does: it cannot be told from them.\n"
-    share = f"Of its change of R(t), G, mu, Rmax, time zero and R_inf absorb {100.0 * found.absorbed(name):.0f} %. "
+    share = f"Of its change of R(t), G, mu, Rmax, time zero and R_inf absorb {100.0 * found.absorbed(name):.3g} %. "
     nearest = found.nearest(name)
     if not nearest:
         return share + "What remains encloses an angle of more than 60 degrees with that of every other entry.\n"
