@@ -1,7 +1,7 @@
 # %% [markdown]
 # # Two ways to fit: the most probable gel, and ensemble 4D-Var
 # You will be able to choose between the two methods that fit a gel, and to say what each of them does to your intervals.
-# Takes half a minute.
+# Takes half a minute on one core.
 #
 # - **The default** (`SearchOptions`) looks for the most probable gel: Gauss-Newton steps from several starts, with slopes by
 #   finite differences. Each fit carries a certificate: the gradient at its end, and whether two starts ended in one place.

@@ -98,8 +98,8 @@ def draw_model(model: Material, path: Path) -> None:
         for value, radius, colour in zip(values, curves([{**centre, name: x} for x in values]), _COLOURS, strict=True):
             axis.plot(_TIMES, radius, color=colour, label=f"{entry.display_scale * value:.3g} {_unit(name)}".strip())
         axis.set(xlabel=r"$t\,U_c/R_\mathrm{max}$", title=name)
-        axis.legend(fontsize="small", frameon=False, loc="lower right")
-    axes[0].set_ylabel(r"$R/R_\mathrm{max}$")
+        axis.legend(fontsize="small", frameon=False, loc="upper right")
+    axes[0].set(ylabel=r"$R/R_\mathrm{max}$", ylim=(0.0, 1.15))
     _save(figure, path)
 
 
@@ -115,10 +115,10 @@ def draw_effect(effect: Effect, path: Path) -> None:
         label = ", ".join(f"{name} {value:.3g}" for name, value in row.items())
         left.plot(_TIMES, radius, color=colour, label=label)
         right.plot(_TIMES, radius - neutral, color=colour)
-    left.set(xlabel=r"$t\,U_c/R_\mathrm{max}$", ylabel=r"$R/R_\mathrm{max}$")
+    left.set(xlabel=r"$t\,U_c/R_\mathrm{max}$", ylabel=r"$R/R_\mathrm{max}$", ylim=(0.0, 1.2))
     right.set(xlabel=r"$t\,U_c/R_\mathrm{max}$", ylabel=r"change of $R/R_\mathrm{max}$")
     right.axhline(0.0, color="0.7", linewidth=0.8)
-    left.legend(fontsize="x-small", frameon=False, loc="lower right")
+    left.legend(fontsize="x-small", frameon=False, loc="upper right")
     _save(figure, path)
 
 
