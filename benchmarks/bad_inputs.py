@@ -582,6 +582,24 @@ def options() -> Iterator[Case]:
         "--tell",
         good,
     )
+    hunts: dict[tuple[str, ...], str] = {
+        ("--effects=sound_speed",): "--goal", ("--hide=sound_speed",): "--goal", ("--goal=x",): "--goal", ("--goal=cause", "--models=nhkv,gen_qkv"): "--models", ("--goal=cause", "--models=nhkv", "--hide=sound_speed"): "--case",
+        ("--goal=cause", "--models=nhkv", "--q=2"): "--q", ("--goal=cause", "--models=nhkv", "--effects=x"): "x", ("--goal=cause", "--models=nhkv", "--effects="): "--effects", ("--goal=cause", "--models=nhkv", "--method=paper"): "--method",
+        ("--goal=cause", "--models=nhkv", "--stop=cause=2"): "cause", ("--goal=cause", "--models=nhkv", "--stop=cause="): "cause",
+    }  # fmt: skip
+    for options, about in hunts.items():
+        yield Case(
+            "option", f"campaign {' '.join(options)}", ("campaign", *MODELS, "--out", "{here}/gel", *QUICK, *options), about
+        )
+    for hidden, about in {
+        "": "--hide",
+        "x": "x",
+        "sound_speed=": "--hide",
+        "sound_speed=x": "--hide",
+        "sound_speed=-9": "sound_speed",
+    }.items():
+        words = ("campaign", "--goal=cause", "--case=soft-pa", f"--hide={hidden}", "--out", "{here}/gel", *QUICK)
+        yield Case("option", f"campaign --hide={hidden}", words, about)
     yield Case(
         "option",
         "campaign more designs than listed",
@@ -821,6 +839,7 @@ def journals(whole: Path) -> Iterator[Case]:
                     "gaussian_answer",
                     "gain",
                     "gain_sd",
+                    "reason",
                     "evaluations",
                     "pending",
                     "evidence",

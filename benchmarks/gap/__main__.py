@@ -6,8 +6,9 @@
   python -m benchmarks.gap table OUT.jsonl ... [--json ROWS.json]
 
 One line a set is appended as it finishes, and sets that have a line are not run again, so a run can be stopped, resumed and
-extended at will. Pairs have 5 designs x 100 repeats whatever the sizes, and "next" (designs chosen to tell causes apart against
-random ones) 3 designs of one curve. Thresholds are those of the library; they are printed, and their hash stands in every line.
+extended at will. Pairs have 5 designs x 100 repeats whatever the sizes. Kind "next" adds up to three shots to sets that leave
+several causes, chosen to tell these apart and at random. Thresholds are those of the library; they are printed, and their hash
+stands in every line.
 """
 
 import argparse
@@ -31,7 +32,7 @@ from imr_torch.errors import ConvergenceWarning, InputDataError
 from imr_torch.gap import library
 from imr_torch.simulate import process_pool
 
-_OWN_SIZE = {"pair": "5x100", "next": "3x1"}
+_OWN_SIZE = {"pair": "5x100"}
 
 
 def tasks(

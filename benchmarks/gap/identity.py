@@ -1,74 +1,98 @@
-"""What the choice of designs is worth: one hidden effect, seen by designs that tell causes apart, and by random ones.
+"""What the choice of shots is worth: sets that leave several causes, and further shots, chosen or random, until one is named.
 
-Both arms begin with the same random design and know each experiment by one curve. The effect is one that would show in three
-designs which neither arm shoots, so neither is favoured.
+Both arms begin with the same data, and each further shot has as many repeats and the same nuisances. An arm ends when the
+diagnosis names one cause alone, right or wrong, or after ``SHOTS`` shots.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
 
-from benchmarks.gap.sets import SyntheticSet, Task, draw_designs, film, make_plan, make_set
-from imr_torch.design import Plan
+from benchmarks.gap.sets import NUISANCE, SyntheticSet, Task, film, make_plan, make_set
+from benchmarks.gap.table import SHOTS, families
+from imr_torch.campaign import DesignPolicy, Random, Situation
+from imr_torch.design import DesignSpace, Plan
 from imr_torch.errors import ConvergenceError
-from imr_torch.gap import LIBRARY
-from imr_torch.gap.adequacy import adequacy_test
-from imr_torch.gap.attribute import Attribution, Inquiry, attribute
-from imr_torch.gap.hypotheses import fit_null
-from imr_torch.gap.identity_design import identity_design
-from imr_torch.material import wide_prior
-from imr_torch.observe import Experiment, ExperimentBatch
+from imr_torch.gap import CauseLearner, GapReport, TellCausesApart
+from imr_torch.material import LIBRARY, wide_prior
+from imr_torch.observe import Experiment, ExperimentBatch, Nuisance
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 
+_PRIOR = wide_prior(("nhkv",))
+
 
 def compare_designs(task: Task, simulator: Simulator) -> dict[str, Any]:
-    """Probability of the true effect's class after all designs, chosen and random, ready for JSON.
+    """Further shots at a set whose diagnosis leaves several causes, chosen and random, ready for JSON.
 
     Args:
-        task: of kind ``"next"``; its designs are those of each arm.
+        task: of kind ``"next"``.
         simulator: of the fits.
+
+    Returns:
+        ``ambiguous``: whether a gap was found and no cause named alone; then, by arm, ``named`` (the shot after which a cause
+        was named alone, None if none), ``right`` (whether it was the true one), ``p_true`` after the last shot and ``shots``,
+        the designs.
 
     Raises:
         ConvergenceError: if a bubble of the truth cannot be simulated.
     """
     data = make_set(task)
-    source = generator(child(task.seed, task.key, "arms"))
-    at_random = draw_designs(task.designs, source)
-    random = [_shoot(data, design, task, source) for design in at_random]
-    chosen, gains = random[:1], []
-    plan = Plan(nuisance=random[0].nuisance, repeats=task.repeats, collapses=None)
-    for number in range(1, task.designs):
-        found = _causes(chosen, data, simulator, child(task.seed, "chosen", number))
-        best = identity_design(found.fits, found.posterior, simulator, seed=child(task.seed, "next", number), plan=plan)
-        gains.append(best.gain)
-        chosen.append(_shoot(data, best.design, task, source))
-    family = LIBRARY[data.truth[0]].family
-    arms = {"chosen": chosen, "random": random}
-    ends = {arm: _causes(shot, data, simulator, child(task.seed, arm, task.designs)) for arm, shot in arms.items()}
+    learner = CauseLearner(tuple(effect.name for effect in data.offered))
+    arms: dict[str, DesignPolicy] = {"chosen": TellCausesApart(learner), "random": Random()}
+    first = _diagnosed(learner, data.experiments, task, simulator)
+    line: dict[str, Any] = {"truth": list(data.truth), "values": data.values, "signal": data.signal}
+    line |= {"ambiguous": first.found and not _alone(first), "verdict_first": first.verdict, "cause_first": list(first.cause)}
+    if not line["ambiguous"]:
+        return line
+    found = {name: _arm(policy, data, learner, task, simulator) for name, policy in arms.items()}
+    return line | {key: {name: own[key] for name, own in found.items()} for key in ("named", "right", "p_true", "shots")}
+
+
+def _arm(policy: DesignPolicy, data: SyntheticSet, learner: CauseLearner, task: Task, simulator: Simulator) -> dict[str, Any]:
+    """Shots by one policy until a cause is named alone."""
+    source = generator(child(task.seed, task.key, "arm"))
+    nuisance = NUISANCE if task.nuisances else Nuisance()
+    plan = Plan(repeats=task.repeats, nuisance=nuisance, collapses=None)
+    experiments, shots = list(data.experiments), []
+    report, named = _diagnosed(learner, experiments, task, simulator), None
+    for shot in range(1, SHOTS + 1):
+        number, batch = len(experiments) + 1, ExperimentBatch(tuple(experiments))
+        situation = Situation(number, _PRIOR, simulator, DesignSpace(), plan, task.seed, prior=_PRIOR, batch=batch)
+        design = policy.choose(situation).design
+        shots.append(design.tolist())
+        experiments.append(_shoot(data, design, task, source, f"shot {shot}"))
+        report = _diagnosed(learner, experiments, task, simulator)
+        if _alone(report):
+            named = shot
+            break
     return {
-        "truth": list(data.truth),
-        "values": data.values,
-        "gains": gains,
-        "designs": [list(e.design) for e in random],
-        "chosen_designs": [list(e.design) for e in chosen],
-        "p_true": {arm: found.families[family] for arm, found in ends.items()},
-        "converged": all(found.fits[found.winner].certificate.converged for found in ends.values()),
+        "named": named,
+        "right": named is not None and families(report.cause) == families(data.truth),
+        "p_true": _probability(report, data.truth[0]),
+        "shots": shots,
     }
 
 
-def _shoot(data: SyntheticSet, design: torch.Tensor, task: Task, source: torch.Generator) -> Experiment:
+def _diagnosed(learner: CauseLearner, experiments: Any, task: Task, simulator: Simulator) -> GapReport:
+    return learner.diagnose(_PRIOR, ExperimentBatch(tuple(experiments)), simulator, task.seed)
+
+
+def _alone(report: GapReport) -> bool:
+    """Whether the verdict names one cause, or forms of one thing."""
+    return report.verdict in ("effect", "class") and len(families(report.cause)) == 1
+
+
+def _probability(report: GapReport, truth: str) -> float:
+    """Of the true effect's family, alone; 0 where no cause was fitted."""
+    posterior = {} if report.attribution is None else report.attribution.posterior
+    return sum(p for name, p in posterior.items() if name in LIBRARY and LIBRARY[name].family == LIBRARY[truth].family)
+
+
+def _shoot(data: SyntheticSet, design: torch.Tensor, task: Task, source: torch.Generator, label: str) -> Experiment:
     """One experiment on the set's gel."""
     filmed = film(data.values, make_plan(design[None], task), task, source)
     if filmed is None:
         raise ConvergenceError(f"The bubble at the design {design.tolist()} could not be simulated.")
-    return filmed[0][0]
-
-
-def _causes(experiments: Sequence[Experiment], data: SyntheticSet, simulator: Simulator, seed: int) -> Attribution:
-    """Causes and their probabilities, whether a gap is found or not."""
-    base, batch = wide_prior(("nhkv",)).models[0], ExperimentBatch(tuple(experiments))
-    null = fit_null(base, batch, simulator, seed=child(seed, "null"))
-    starts = adequacy_test(null, data.offered, batch, simulator, seed=child(seed, "gap")).starts
-    return attribute(Inquiry(base, data.offered, batch, simulator), null, starts, seed=child(seed, "attribute"))
+    (shot,) = filmed[0]
+    return Experiment(label, shot.design, shot.times, shot.radius, shot.nuisance)

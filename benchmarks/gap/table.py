@@ -22,6 +22,8 @@ from imr_torch.random import generator
 Line = Mapping[str, Any]
 Test = Callable[[Line], bool]
 ALL = "all"
+SHOTS = 3
+"""Further shots at a set that leaves several causes."""
 _PERMUTATIONS = 200
 
 
@@ -341,19 +343,33 @@ def amounts(lines: Sequence[Line]) -> list[Row]:
         rows.append(
             quantile_row(f"nats by which a withheld effect beats the wrong name given to it, {words}", ALL, ahead, level)
         )
-    compared = [line["p_true"] for line in lines if line.get("p_true")]
-    mean, error = _mean([p["chosen"] - p["random"] for p in compared])
-    wanted = Range(low=0.05), Range(low=0.10)
-    figure = "gain of designs that tell causes apart over random ones, mean P(true effect)"
-    rows.append(Row(figure, "3x1", mean, len(compared), mean - error, mean + error, *wanted))
-    for arm in ("chosen", "random"):
-        mean, error = _mean([p[arm] for p in compared])
-        rows.append(Row(f"P(true effect), {arm} designs", "3x1", mean, len(compared), mean - error, mean + error))
+    rows += _active([line for line in lines if line.get("ambiguous")])
     for size in _EACH:
         found = [line for line in lines if line["kind"] == "effect" and line["size"] == size and detected(line)]
         shares_closed = [line["baselines"]["gp_closed"] for line in found if line.get("baselines")]
         known = [share for share in shares_closed if share is not None]
         rows.append(quantile_row("baseline Gaussian process: held-out gap closed where detected, median", size, known, 0.5))
+    return rows
+
+
+def _active(lines: Sequence[Line]) -> list[Row]:
+    """Further shots at sets that leave several causes: how often and after how many shots the truth is named alone."""
+    rows = []
+    for arm, must, stretch in (("chosen", Range(low=0.85), Range(low=0.95)), ("random", None, None)):
+        right = sum(line["right"][arm] for line in lines)
+        figure = f"still ambiguous: truth named alone after at most {SHOTS} further shots, {arm}"
+        share = right / len(lines) if lines else math.nan
+        rows.append(Row(figure, ALL, share, len(lines), *clopper_pearson(right, len(lines)), must, stretch))
+        wrong = sum(line["named"][arm] is not None and not line["right"][arm] for line in lines)
+        share = wrong / len(lines) if lines else math.nan
+        rows.append(Row(f"the same, another named alone, {arm}", ALL, share, len(lines), *clopper_pearson(wrong, len(lines))))
+    spent = {arm: [line["named"][arm] or SHOTS for line in lines] for arm in ("chosen", "random")}
+    ratio = sum(spent["chosen"]) / sum(spent["random"]) if lines else math.nan
+    figure = f"shots until a cause is named alone, at most {SHOTS}, chosen over random"
+    rows.append(Row(figure, ALL, ratio, len(lines), math.nan, math.nan, Range(high=0.6), Range(high=0.4)))
+    mean, error = _mean([line["p_true"]["chosen"] - line["p_true"]["random"] for line in lines])
+    figure = "P(true effect) after the last shot, chosen less random, mean"
+    rows.append(Row(figure, ALL, mean, len(lines), mean - error, mean + error))
     return rows
 
 

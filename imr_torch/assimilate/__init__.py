@@ -10,6 +10,7 @@ from imr_torch.assimilate.noise_estimation import NOISE_ROUNDS, assimilate_estim
 from imr_torch.assimilate.noise_posterior import NoiseEdge, NoisePrior, noise_edges
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.posterior import Neighbourhood, Point, Posterior
+from imr_torch.assimilate.profile import Profile, profile
 from imr_torch.assimilate.published import PublishedFit, PublishedOptions, as_one_curve, assimilate_published
 from imr_torch.assimilate.weighing import weigh
 
@@ -29,6 +30,7 @@ __all__ = [
     "NormalEquations",
     "Point",
     "Posterior",
+    "Profile",
     "PublishedFit",
     "PublishedOptions",
     "SearchOptions",
@@ -42,5 +44,6 @@ __all__ = [
     "find_bad_frames",
     "noise_edges",
     "normal_equations",
+    "profile",
     "weigh",
 ]

@@ -1,7 +1,7 @@
 """Stage 7, campaigns: sequences of choosing a design, measuring and inference, recorded in a journal."""
 
 from imr_torch.campaign.journal import Journal
-from imr_torch.campaign.learners import ExactLearner, Inference, Learner, Observations, PaperLearner
+from imr_torch.campaign.learners import ExactLearner, Finding, Inference, Learner, Observations, PaperLearner
 from imr_torch.campaign.loop import Campaign, Step
 from imr_torch.campaign.policies import (
     PAPER_OPTIMAL,
@@ -18,6 +18,7 @@ from imr_torch.campaign.stopping import (
     AllOf,
     AnyOf,
     Budget,
+    CauseProbability,
     Designs,
     GainBelow,
     ModelProbability,
@@ -35,9 +36,11 @@ __all__ = [
     "Budget",
     "Campaign",
     "CampaignSettings",
+    "CauseProbability",
     "DesignPolicy",
     "Designs",
     "ExactLearner",
+    "Finding",
     "Fixed",
     "GainBelow",
     "Inference",

@@ -28,7 +28,7 @@ _REMEDY = "Restore it from a copy, or tell its curves to a campaign in a new fol
 _NUMBER, _OPTIONAL = (int, float), (int, float, type(None))
 _FIELDS: dict[str, dict[str, type | tuple[type, ...]]] = {
     "start": {"prior": dict, "simulator": str, "settings": dict, "seed": int, "note": dict},
-    "ask": {"step": int, "design": list, "gain": _OPTIONAL, "gain_sd": _OPTIONAL, "evaluations": list},
+    "ask": {"step": int, "design": list, "gain": _OPTIONAL, "gain_sd": _OPTIONAL, "reason": str, "evaluations": list},
     "observed": {"step": int, "experiments": list},
     "learnt": {"step": int, "experiments": list, "belief": dict, "evidence": list},
     "forget": {"experiment": int},

@@ -59,6 +59,43 @@ class Observations:
 
 
 @dataclass(frozen=True)
+class Finding:
+    """What a diagnosis says after the experiments of a campaign that looks for the cause of a gap.
+
+    Args:
+        verdict: ``"none"``, ``"effect"``, ``"class"``, ``"other"`` or ``"undecided"``.
+        causes: names of the effects that the verdict names.
+        probabilities: hypothesis -> probability, ``"none"`` and ``"other"`` among them; empty where no test rejects the base
+            model.
+        reason: one sentence on how the verdict came about.
+        converged: whether the fits that the verdict is based on have converged.
+        p_value: of the gap test.
+
+    >>> from imr_torch.campaign import Finding
+    >>> Finding("effect", ("wall",), {"wall": 0.9, "other": 0.1}, "Adequate.", True, 1e-6).leader
+    'wall'
+    """
+
+    verdict: str
+    causes: tuple[str, ...]
+    probabilities: dict[str, float]
+    reason: str
+    converged: bool
+    p_value: float
+
+    @property
+    def leader(self) -> str | None:
+        """The most probable hypothesis; None where none was fitted."""
+        return max(self.probabilities, key=self.probabilities.__getitem__, default=None)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "Finding":
+        """Inverse of ``dataclasses.asdict`` after JSON."""
+        own: dict[str, Any] = values | {"causes": tuple(values["causes"])}
+        return cls(**own)
+
+
+@dataclass(frozen=True)
 class Inference:
     """What a learner returns: the belief after the experiments, and what the journal records.
 
@@ -68,6 +105,7 @@ class Inference:
         record: what else the journal keeps, JSON-ready.
         assimilation: the fits; None if the method makes none to all experiments.
         noise: of one curve, as the residuals have it; None if the method takes it as planned.
+        finding: of a learner that diagnoses a gap.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import Inference
@@ -81,6 +119,7 @@ class Inference:
     record: dict[str, Any] = field(default_factory=dict)
     assimilation: Assimilation | None = None
     noise: Noise | None = None
+    finding: Finding | None = None
 
 
 class Learner(Protocol):

@@ -21,7 +21,7 @@ from torch import Tensor
 from imr_torch.assimilate import Assimilation
 from imr_torch.campaign.admission import check_simulated
 from imr_torch.campaign.journal import Journal, curve_hash, differing
-from imr_torch.campaign.learners import Observations, finite
+from imr_torch.campaign.learners import Finding, Observations, finite
 from imr_torch.campaign.policies import Proposal, Situation
 from imr_torch.campaign.settings import CampaignSettings, through_json
 from imr_torch.campaign.stopping import Standing
@@ -44,6 +44,7 @@ class Step:
         evidence: evidence of each model, all experiments together; empty if the learner knows none.
         assimilation: the fits; None when the step was read back from the journal, or the learner makes none.
         noise: of one curve, if the learner estimates it.
+        finding: of the diagnosis, if the learner makes one.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import Step
@@ -57,6 +58,7 @@ class Step:
     evidence: tuple[Evidence, ...]
     assimilation: Assimilation | None = None
     noise: Noise | None = None
+    finding: Finding | None = None
 
 
 class Campaign:
@@ -165,7 +167,8 @@ class Campaign:
         elif event["event"] == "learnt":
             evidence = tuple(Evidence(**_infinite(entry)) for entry in event["evidence"])
             noise = Noise(**event["noise"]) if event.get("noise") else None
-            self.steps.append(Step(event["step"], Belief.from_dict(event["belief"]), evidence, noise=noise))
+            finding = Finding.from_dict(event["finding"]) if event.get("finding") else None
+            self.steps.append(Step(event["step"], Belief.from_dict(event["belief"]), evidence, noise=noise, finding=finding))
         elif event["event"] == "forget":
             self._withdrawn.append(known.pop(event["experiment"]))
             self._drop_steps(event["experiment"])
@@ -199,7 +202,9 @@ class Campaign:
     def reason_to_stop(self, proposal: Proposal | None = None) -> str | None:
         """Why the campaign should end, by what was told so far and, if given, what is proposed; None where it should not."""
         rule, gain = self.settings.stop, proposal.gain if proposal else None
-        return rule.reason(Standing(self.belief, tuple(self.experiments), gain, self.forgotten)) if rule else None
+        finding = self.steps[-1].finding if self.steps else None
+        standing = Standing(self.belief, tuple(self.experiments), gain, self.forgotten, finding)
+        return rule.reason(standing) if rule else None
 
     @property
     def forgotten(self) -> tuple[Experiment, ...]:
@@ -254,9 +259,12 @@ class Campaign:
         known = self._asked(number)
         if known is not None:
             design = torch.tensor(known["design"], dtype=torch.float64)
-            return Proposal(number, design, known["gain"], known["gain_sd"])
+            return Proposal(number, design, known["gain"], known["gain_sd"], reason=known.get("reason", ""))
         settings = self.settings
-        situation = Situation(number, self.belief, self.simulator, settings.space, self.plan, self.seed, pending)
+        batch = self._batch(self.experiments) if self.experiments else None
+        situation = Situation(
+            number, self.belief, self.simulator, settings.space, self.plan, self.seed, pending, self.prior, batch
+        )
         found = settings.policy.choose(situation, progress=progress)
         search = found.search
         tried = zip(search.gains, search.designs, strict=True) if search else ()
@@ -266,6 +274,7 @@ class Campaign:
             design=found.design.tolist(),
             gain=found.gain,
             gain_sd=found.gain_sd,
+            reason=found.reason,
             pending=finite(asdict(search.pending)) if search and search.pending else None,
             evaluations=[finite(asdict(gain)) | {"design": design.tolist()} for gain, design in tried],
         )
@@ -407,9 +416,12 @@ class Campaign:
                 belief=inference.belief.to_dict(),
                 evidence=[finite(asdict(e)) for e in inference.evidence],
                 noise=vars(inference.noise) if inference.noise else None,
+                **({"finding": asdict(inference.finding)} if inference.finding else {}),
                 **inference.record,
             )
-        self.steps.append(Step(fresh[-1], inference.belief, inference.evidence, inference.assimilation, inference.noise))
+        self.steps.append(
+            Step(fresh[-1], inference.belief, inference.evidence, inference.assimilation, inference.noise, inference.finding)
+        )
         return self.steps[-1]
 
     def _batch(self, experiments: Sequence[Experiment]) -> ExperimentBatch:

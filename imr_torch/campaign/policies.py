@@ -30,6 +30,7 @@ from imr_torch.design import (
 )
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
+from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator, check_designs, coarser
 from imr_torch.types import Progress
@@ -47,6 +48,8 @@ class Situation:
         plan: how the experiment will be observed.
         seed: of the campaign.
         pending: ``m x 2`` tensor of designs that were proposed before under the same belief and will be shot with this one.
+        prior: belief before the first experiment; None where it is not kept.
+        batch: all experiments so far, cut to the window that is assimilated; None before the first.
 
     >>> from imr_torch import PolytropicSimulator, reference_case
     >>> from imr_torch.campaign import Situation
@@ -64,6 +67,8 @@ class Situation:
     plan: Plan
     seed: int
     pending: Tensor | None = None
+    prior: Belief | None = None
+    batch: ExperimentBatch | None = None
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,7 @@ class Proposal:
             the policy estimates none.
         gain_sd: its standard deviation.
         search: how it was found; None if it was not searched for, or was read back from a journal.
+        reason: one sentence on what it is expected to tell, where the policy has one.
 
     >>> import torch
     >>> from imr_torch.campaign import Proposal
@@ -89,6 +95,7 @@ class Proposal:
     gain: float | None = None
     gain_sd: float | None = None
     search: DesignSearch | None = None
+    reason: str = ""
 
 
 class DesignPolicy(Protocol):

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+from imr_torch.campaign.learners import Finding
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment
@@ -26,6 +27,7 @@ class Standing:
         experiments: those that count as data.
         gain: expected information gain of the experiment that is proposed, nats; None when not known.
         forgotten: those that were shot and do not count as data any more.
+        finding: of the last diagnosis; None in a campaign that makes none.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import GainBelow, Standing
@@ -38,6 +40,7 @@ class Standing:
     experiments: tuple[Experiment, ...]
     gain: float | None = None
     forgotten: tuple[Experiment, ...] = ()
+    finding: Finding | None = None
 
 
 class StoppingRule(Protocol):
@@ -133,6 +136,37 @@ class ModelProbability:
         best = standing.belief.best.model
         probable = standing.belief.probabilities[best] > self.above
         return f"{best} has a probability above {self.above:g}" if probable else None
+
+
+@dataclass(frozen=True)
+class CauseProbability:
+    """Stop when one cause of the gap is probable enough: an effect, an unknown one, or that nothing is missing.
+
+    Args:
+        above: its posterior probability, in a campaign that looks for the cause of a gap.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.campaign import CauseProbability, Finding, Standing
+    >>> found = Finding("effect", ("wall",), {"wall": 0.96, "other": 0.04}, "Adequate.", True, 1e-6)
+    >>> CauseProbability(above=0.9).reason(Standing(wide_prior(["nhkv"]), experiments=(), finding=found))
+    'the cause wall has a probability above 0.9'
+    """
+
+    above: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.above < 1.0:
+            raise InputDataError(f"CauseProbability.above is {self.above}; expected a probability between 0 and 1.")
+
+    def reason(self, standing: Standing) -> str | None:
+        """See :class:`StoppingRule`."""
+        found = standing.finding
+        if found is None or found.leader is None or not found.converged:
+            return None
+        if found.probabilities[found.leader] <= self.above:
+            return None
+        names = {"none": "that nothing is missing from the base model", "other": "an effect that is not in the library"}
+        return f"{names.get(found.leader, f'the cause {found.leader}')} has a probability above {self.above:g}"
 
 
 @dataclass(frozen=True)
@@ -253,7 +287,14 @@ class AllOf:
         return None if None in reasons else " and ".join(filter(None, reasons))
 
 
-_RULES = {"designs": Designs, "sd": RelativeSd, "probability": ModelProbability, "gain": GainBelow, "budget": Budget}
+_RULES = {
+    "designs": Designs,
+    "sd": RelativeSd,
+    "probability": ModelProbability,
+    "cause": CauseProbability,
+    "gain": GainBelow,
+    "budget": Budget,
+}
 
 
 def stopping_rule(*texts: str) -> StoppingRule | None:

@@ -3,7 +3,7 @@
 import argparse
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from imr_torch.campaign import (
     CampaignSettings,
     DesignPolicy,
     ExactLearner,
+    Finding,
     Fixed,
     Journal,
     Optimal,
@@ -29,7 +30,9 @@ from imr_torch.cli.common import (
     check_counts,
     header_of,
     layout_of,
+    names_of,
     parse_pair,
+    parse_values,
     prior_of,
     progress_of,
     rest_radius_of,
@@ -42,14 +45,18 @@ from imr_torch.cli.design import plan_of, space_of
 from imr_torch.cli.figures import save_figures
 from imr_torch.errors import InputDataError
 from imr_torch.files import remove_temporaries
+from imr_torch.gap import CauseLearner, TellCausesApart
 from imr_torch.html import write
-from imr_torch.material import PARAMETERS, Belief, ReferenceCase, reference_case
+from imr_torch.material import PARAMETERS, Belief, ReferenceCase, library, reference_case
 from imr_torch.observe import Experiment, SimulatedLaboratory, TraceSet, load_traces, prepare
 from imr_torch.observe.medium import label
 from imr_torch.random import child
 from imr_torch.results import campaign_document, campaign_page, draw_figures
+from imr_torch.results.campaign_page import cause_sentence
 from imr_torch.simulate import Simulator
 
+_CAUSE_SURE = "cause=0.9"  # when a campaign for a cause ends, if nothing else is asked for
+_SHOWN, _LEAST = 6, 0.001  # causes that are listed, and the probability below which none is
 _FITS = {"exact": "map", "en4dvar": "en4dvar"}
 _BASELINES: dict[str, Callable[[], DesignPolicy]] = {"random": Random, "space-filling": SpaceFilling}
 
@@ -63,6 +70,7 @@ def run(args: argparse.Namespace) -> None:
     if args.tell and args.case:
         raise InputDataError("--tell gives real experiments and --case simulates them; give one of the two.")
     check_counts(args, "designs", "q", "evaluations", "repeats")
+    _check_goal(args)
     for option in ("layout", "rest_radius"):
         if getattr(args, option) is not None and not args.tell:
             raise InputDataError(f"--{option.replace('_', '-')} is about told files and has no effect without --tell.")
@@ -76,6 +84,8 @@ def run(args: argparse.Namespace) -> None:
     print(medium.report())
     started = time.process_time()
     case = reference_case(args.case) if args.case else None
+    if args.goal == "cause":
+        prior = _one_model(prior, case)
     campaign = _open(args, simulator, prior, settings)
     try:
         with campaign.journal.held():
@@ -98,7 +108,11 @@ def _open(args: argparse.Namespace, simulator: Simulator, prior: Belief, setting
     if (args.resume or args.forget is not None) and not existing:
         option = "--resume" if args.resume else "--forget"
         raise InputDataError(f"{folder} holds no journal to resume; leave {option} away to start one.")
-    note = {"case": args.case} | ({"medium": args.gel_medium.to_dict()} if args.medium else {})
+    note = (
+        {"case": args.case}
+        | ({"hidden": _hidden(args)} if args.hide is not None else {})
+        | ({"medium": args.gel_medium.to_dict()} if args.medium else {})
+    )
     return Campaign(folder, prior, simulator, settings=settings, seed=args.seed, note=note)
 
 
@@ -108,12 +122,72 @@ def settings_of(args: argparse.Namespace) -> CampaignSettings:
     if args.method != "paper":
         rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
         base = replace(base, learner=ExactLearner(options=METHODS[_FITS[args.method]], noise_rounds=rounds))
-    policy, space = _policy(args.policy, base.policy, args.evaluations), space_of(args)
+    policy, space, plan = _policy(args.policy, base.policy, args.evaluations), space_of(args), plan_of(args)
+    if args.goal == "cause":
+        learner = CauseLearner(_effect_names(args), estimate_noise=not args.case)
+        base = replace(base, learner=learner)
+        policy = TellCausesApart(learner) if args.policy == "optimal" else policy
+        plan = replace(plan, collapses=None) if args.case else plan
     if isinstance(policy, Fixed):
         space.check(torch.tensor(policy.designs, dtype=torch.float64))
         if args.case and not args.stop and args.designs > len(policy.designs):
             raise InputDataError(f"--policy lists {len(policy.designs)} designs and --designs is {args.designs}; list as many.")
-    return replace(base, space=space, plan=plan_of(args), policy=policy, stop=stopping_rule(*args.stop))
+    rules = args.stop or ([_CAUSE_SURE] if args.goal == "cause" else [])
+    return replace(base, space=space, plan=plan, policy=policy, stop=stopping_rule(*rules))
+
+
+def _check_goal(args: argparse.Namespace) -> None:
+    """Raise for options that do not suit the goal."""
+    if args.goal == "gel":
+        for option in ("effects", "hide"):
+            if getattr(args, option) is not None:
+                raise InputDataError(f"--{option} has no effect without --goal cause.")
+        return
+    if args.q != 1:
+        raise InputDataError(
+            f"--q is {args.q}; with --goal cause each shot depends on what the last one showed: leave --q out."
+        )
+    if args.method != "exact":
+        raise InputDataError(
+            f"--method is {args.method!r}; --goal cause diagnoses with the exact likelihood: leave --method out."
+        )
+    if args.hide is not None:
+        if not args.case:
+            raise InputDataError("--hide puts an effect into a simulated gel, and has no effect without --case.")
+        _hidden(args)
+    _effect_names(args)
+
+
+def _effect_names(args: argparse.Namespace) -> tuple[str, ...]:
+    """The effects that may be the cause; none for the whole library."""
+    names = () if args.effects is None else tuple(names_of(args.effects, "--effects"))
+    library(names or None)
+    return names
+
+
+def _hidden(args: argparse.Namespace) -> dict[str, float]:
+    """Parameters of the effect that a simulated gel has, SI."""
+    if args.hide is None:
+        return {}
+    name, given, value = args.hide.partition("=")
+    if not name:
+        raise InputDataError(f"--hide is {args.hide!r}; expected an effect, as sound_speed or sound_speed=0.9.")
+    effect = library([name])[0]
+    values = dict(zip(effect.names, effect.starts[0], strict=True))
+    if given:
+        values |= parse_values(f"{effect.names[0]}={value}", "--hide")
+    return values
+
+
+def _one_model(prior: Belief, case: ReferenceCase | None) -> Belief:
+    """The base model of a campaign for a cause: that of the simulated gel, or the only one that is named."""
+    if case:
+        return Belief((prior[case.truth_model],), torch.zeros(1, dtype=torch.float64))
+    if len(prior.models) > 1:
+        raise InputDataError(
+            f"--models names {len(prior.models)} ({', '.join(prior.keys)}); with --goal cause name one, as nhkv."
+        )
+    return prior
 
 
 def _policy(text: str, optimal: DesignPolicy, evaluations: int) -> DesignPolicy:
@@ -132,7 +206,7 @@ def _simulated(campaign: Campaign, case: ReferenceCase, args: argparse.Namespace
     """Shoot the secret gel of a reference case; no proposals, and why it ended early."""
     laboratory = SimulatedLaboratory(
         campaign.simulator,
-        PARAMETERS.pack(case.truth),
+        PARAMETERS.pack({**case.truth, **_hidden(args)}),
         noise=campaign.settings.plan.noise,
         repeats=campaign.settings.plan.repeats,
     )
@@ -177,6 +251,8 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Propos
         where = campaign.settings.space.describe(proposal.design, campaign.simulator.conditions.surroundings)
         expected = "" if proposal.gain is None else f"; expected gain {proposal.gain:.2f} +- {proposal.gain_sd:.2f} nats"
         print(f"{'Shoot next' if proposal is proposals[0] else 'then'}: {where}{expected}")
+        if proposal.reason:
+            print(f"  {proposal.reason}")
         if reason := campaign.reason_to_stop(proposal):
             print(f"or leave it: {reason}")
     gains = [proposal.gain for proposal in proposals if proposal.gain is not None]
@@ -210,6 +286,8 @@ def _report(
     belief = campaign.belief
     if campaign.steps and campaign.steps[-1].noise:
         print(f"noise {campaign.steps[-1].noise}")
+    if campaign.steps and (found := campaign.steps[-1].finding):
+        print(_found(found))
     print("model probabilities: " + ", ".join(f"{k} {v:.4f}" for k, v in belief.probabilities.items()))
     errors, truth = {}, None
     if case:
@@ -226,6 +304,13 @@ def _report(
     _figures(campaign, document)
     if args.html:
         print(f"wrote {write(campaign_page(header_of(args) | document), args.html)}")
+
+
+def _found(found: Finding) -> str:
+    """What the last diagnosis says, in two lines."""
+    ranked = sorted(found.probabilities.items(), key=lambda item: -item[1])[:_SHOWN]
+    listed = ", ".join(f"{name} {p:.3f}" for name, p in ranked if p >= _LEAST) or "none fitted, since no test finds a gap"
+    return f"Cause of the gap: {cause_sentence(asdict(found))}\n  probabilities: {listed}"
 
 
 def _figures(campaign: Campaign, document: dict[str, Any]) -> None:

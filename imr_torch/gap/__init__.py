@@ -1,5 +1,6 @@
 """Stage 8, model misfit: tests for a gap between model and data, its location, its cause, and its reduction."""
 
+from imr_torch.gap.active import CauseLearner, TellCausesApart
 from imr_torch.gap.diagnose import GapReport, diagnose
 from imr_torch.gap.document import to_json
 from imr_torch.gap.fit_test import FitTest, check_fit
@@ -15,6 +16,7 @@ from imr_torch.material import LIBRARY, Effect, library, register_effect
 __all__ = [
     "LIBRARY",
     "MOST",
+    "CauseLearner",
     "Effect",
     "FitTest",
     "GapReport",
@@ -22,6 +24,7 @@ __all__ = [
     "MediumSensitivity",
     "Parts",
     "Rung",
+    "TellCausesApart",
     "check_fit",
     "describe",
     "diagnose",

@@ -47,6 +47,7 @@ def plan_of(batch: ExperimentBatch) -> Plan:
     Frames are spread evenly over the record. A known exposure is left out: predictions of planned shots are instants.
 
     >>> import torch
+    >>> from imr_torch.gap.forecast import plan_of
     >>> from imr_torch.observe import Experiment, ExperimentBatch
     >>> times = torch.linspace(0.0, 2.0, 41, dtype=torch.float64)
     >>> plan = plan_of(ExperimentBatch((Experiment("shot 1", (400.0, 0.22), times, torch.ones(3, 41, dtype=torch.float64)),)))
@@ -192,7 +193,8 @@ def forecast(
     shots = [_shot((unknown.fit if n == OTHER and unknown else fits[n]).posterior, design, simulator, plan) for n in names]
     drawn = _together([draw(shot, cloud_controls(shot, draws, source), source) for shot in shots])
     if min(map(len, drawn.parts)) < 2:
-        failed = summarise([Terms(1.0, torch.zeros(0), torch.zeros(0), torch.arange(draws))])
+        empty = torch.zeros(0, dtype=torch.float64)
+        failed = summarise([Terms(1.0, empty, empty, torch.arange(draws))])
         return Forecast(failed, _now(causes), math.nan, math.nan, {})
     logs = _evidences(names, drawn, shots, unknown if OTHER in names else None, source)
     posterior = torch.log_softmax(logs + log_prior, dim=1)

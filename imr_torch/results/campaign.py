@@ -1,6 +1,7 @@
 """The document of a campaign: its state as numbers, and what its figures and its page are drawn from again."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 from imr_torch.campaign import Campaign, Proposal
@@ -47,6 +48,7 @@ def campaign_document(
         "belief": belief.to_dict(),
         "history": [{"label": label, "belief": _without_cloud(step)} for label, step in history],
         "truth": truth,
+        "findings": [{"step": s.number} | asdict(s.finding) for s in campaign.steps if s.finding],
         "proposals": [_proposal(campaign, proposal) for proposal in proposals],
         "stopped": stopped,
         "searches": _searches(campaign),
@@ -67,7 +69,8 @@ def _design(campaign: Campaign, weber: float, rest: float) -> dict[str, float]:
 
 def _proposal(campaign: Campaign, proposal: Proposal) -> dict[str, Any]:
     weber, rest = proposal.design.tolist()
-    return {"step": proposal.step, "gain": proposal.gain, "gain_sd": proposal.gain_sd} | _design(campaign, weber, rest)
+    expected = {"gain": proposal.gain, "gain_sd": proposal.gain_sd, "reason": proposal.reason}
+    return {"step": proposal.step} | expected | _design(campaign, weber, rest)
 
 
 def _searches(campaign: Campaign) -> list[dict[str, Any]]:

@@ -1,6 +1,7 @@
 """The figures of a campaign, drawn from its document alone."""
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -12,19 +13,28 @@ from imr_torch.material import Belief, material
 from imr_torch.plot import DATA, MODEL, draw_information, plot_parameter, plot_probabilities, with_lengths
 from imr_torch.results.named import NamedFigure, figure_of
 
+_CAUSES, _LEAST_SHOWN = 6, 0.02  # causes that are drawn, and the probability that each must reach once
 _STEPS = 3  # beliefs beside the prior in the figure of a parameter
 
 
 def campaign_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
     """Model probabilities and parameters step by step, the maps of the searches, and the curves."""
+    if any(found["probabilities"] for found in document.get("findings", ())):
+        yield NamedFigure(
+            "causes",
+            "Probability of each cause of the gap after each experiment.",
+            "Line chart of the probabilities of the causes over the number of experiments.",
+            lambda: causes_figure(document["findings"]),
+        )
     history = [(step["label"], Belief.from_dict(step["belief"])) for step in document["history"]]
     best, truth = history[-1][1].best, document.get("truth") or {}
-    yield NamedFigure(
-        "models",
-        "Probability of each model before the first experiment and after each.",
-        "Bar chart of model probabilities.",
-        lambda: figure_of(plot_probabilities(history)),
-    )
+    if len(history[-1][1].models) > 1 or not document.get("findings"):
+        yield NamedFigure(
+            "models",
+            "Probability of each model before the first experiment and after each.",
+            "Bar chart of model probabilities.",
+            lambda: figure_of(plot_probabilities(history)),
+        )
     for name in best.names:
         shown = [(label, belief[best.model]) for label, belief in (history[0], *history[1:][-_STEPS:])]
         yield NamedFigure(
@@ -63,6 +73,27 @@ def campaign_curve_figure(curve: Mapping[str, Any]) -> Figure:
     ax.legend(frameon=False, fontsize=8)
     with_lengths(ax, curve["Rmax_m"], curve["time_scale_s"])
     figure.suptitle(plain(f"{curve['number']}: {curve['id']}"), fontsize=10)
+    return figure
+
+
+def causes_figure(findings: Sequence[Mapping[str, Any]]) -> Figure:
+    """The probability of each cause after each experiment; a cross where no test found a gap."""
+    figure, ax = plt.subplots(figsize=(5.8, 3.6), layout="constrained")
+    steps = [found["step"] for found in findings]
+    largest = Counter[str]()
+    for found in findings:
+        largest |= Counter({name: p for name, p in found["probabilities"].items() if p >= _LEAST_SHOWN})
+    for (name, _), marker in zip(largest.most_common(_CAUSES), "osD^vP", strict=False):
+        rows = [found["probabilities"].get(name, 0.0 if found["probabilities"] else np.nan) for found in findings]
+        known = name not in ("none", "other")
+        (line,) = ax.plot(steps, rows, marker=marker, ms=5, ls="-" if known else "--", label=plain(name.replace("_", " ")))
+        if not known:
+            line.set_color("0.5")
+    without = [step for step, found in zip(steps, findings, strict=True) if not found["probabilities"]]
+    if without:
+        ax.plot(without, np.zeros(len(without)), "kx", label="no gap found")
+    ax.set(xlabel="experiments", ylabel="probability", ylim=(-0.03, 1.03), xticks=steps)
+    ax.legend(frameon=False, fontsize=8)
     return figure
 
 

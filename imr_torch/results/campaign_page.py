@@ -10,6 +10,8 @@ from imr_torch.material import PARAMETERS, material
 from imr_torch.results.campaign_figures import campaign_figures
 from imr_torch.results.page import footer, pictures_of, provenance_table, setting_rows
 
+_SHOWN = 0.01  # probability below which a cause is not listed
+
 
 def campaign_page(document: Mapping[str, Any], *, title: str = "") -> str:
     """The page of a campaign as HTML: what to shoot next, the gel so far, figures, then details.
@@ -30,6 +32,7 @@ def campaign_page(document: Mapping[str, Any], *, title: str = "") -> str:
     """
     pictures, failed = pictures_of(campaign_figures(document))
     blocks = [
+        Block("The cause of the gap", (_causes(document),)) if document.get("findings") else None,
         Block("The gel so far", (_gel(document),)),
         Block("Shoot next", (_designs(document["proposals"]),)) if document["proposals"] else None,
         Block("What was assumed", (Table(tuple(_assumed(document))),)),
@@ -55,11 +58,53 @@ def headline(document: Mapping[str, Any]) -> str:
     count, best = len(document["experiments"]), _best(document)
     if not count:
         return "No experiment was told yet; what follows is what was believed before."
+    if found := document.get("findings"):
+        return f"After {count} experiment(s): {cause_sentence(found[-1])}"
     lost = f" ({document['forgotten']} more were forgotten)" if document["forgotten"] else ""
     probability = document["model_probabilities"][best]
     said = f"After {count} experiment(s){lost} {material(best).title} has a probability of {probability:.3f}"
     values = "; ".join(f"{n} {PARAMETERS[n].interval(*v)}" for n, v in document["intervals"][best].items())
     return f"{said}: {values}."
+
+
+def cause_sentence(found: Mapping[str, Any]) -> str:
+    """What a diagnosis says, in one sentence and its reason."""
+    named, said = " or ".join(found["causes"]), found["reason"]
+    if not found["converged"]:
+        return f"no verdict on the cause, since a fit did not converge. {said}"
+    if found["verdict"] in ("effect", "class"):
+        chance = sum(found["probabilities"].get(name, 0.0) for name in _hypotheses(found))
+        return f"what the model lacks is {named}, with a probability of {chance:.2f}. {said}"
+    if found["verdict"] == "other":
+        return f"what the model lacks is an effect that is not in the library. {said}"
+    return f"{'no gap between model and data was found' if found['verdict'] == 'none' else 'no cause can be named yet'}. {said}"
+
+
+def _hypotheses(found: Mapping[str, Any]) -> list[str]:
+    """The hypotheses whose effects the verdict names: one after the other if selected together, else each alone."""
+    names = found["causes"]
+    together = "+".join(names)
+    return [together] if together in found["probabilities"] else names
+
+
+def _beside(found: Mapping[str, Any]) -> str:
+    """With which effects the parameters of the base model were inferred, and whether they can be quoted."""
+    if found["verdict"] == "none":
+        return "alone, which explains the curves"
+    if found["verdict"] == "effect":
+        return f"with {' and '.join(found['causes'])}"
+    return "alone, which does not explain the curves: values below are biased by an unknown amount, do not quote them"
+
+
+def _causes(document: Mapping[str, Any]) -> Table:
+    """The probabilities of the causes after each experiment."""
+    rows = []
+    for found in document["findings"]:
+        ranked = sorted(found["probabilities"].items(), key=lambda item: -item[1])
+        listed = ", ".join(f"{name} {p:.2f}" for name, p in ranked if p >= _SHOWN) or "no test finds a gap"
+        verdict = f"{found['verdict']}: {', '.join(found['causes'])}" if found["causes"] else found["verdict"]
+        rows.append((str(found["step"]), verdict, listed))
+    return Table(tuple(rows), ("after experiment", "verdict", "probabilities"))
 
 
 def _best(document: Mapping[str, Any]) -> str:
@@ -69,6 +114,8 @@ def _best(document: Mapping[str, Any]) -> str:
 def _gel(document: Mapping[str, Any]) -> Table:
     best = _best(document)
     rows = [("Model", f"{material(best).title}, probability {document['model_probabilities'][best]:.3f}")]
+    if found := document.get("findings"):
+        rows = [("Model", f"{material(best).title} {_beside(found[-1])}")]
     truth = document.get("truth") or {}
     for name, triple in document["intervals"][best].items():
         entry = PARAMETERS[name]
@@ -110,5 +157,6 @@ def _next_step(document: Mapping[str, Any]) -> str:
     if document["proposals"]:
         first = document["proposals"][0]
         size = f"Rmax {1e6 * first['Rmax_m']:.0f} µm and R_inf {1e6 * first['R_inf_m']:.1f} µm"
-        return f"Shoot We {first['We']:.0f}, R_inf/Rmax {first['R_inf*']:.3f} ({size}), then --resume --tell FILE."
+        said = f" {first['reason']}" if first.get("reason") else ""
+        return f"Shoot We {first['We']:.0f}, R_inf/Rmax {first['R_inf*']:.3f} ({size}), then --resume --tell FILE.{said}"
     return ""

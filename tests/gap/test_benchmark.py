@@ -15,6 +15,7 @@ from benchmarks.gap.run import Extras, frozen, run_task, thresholds
 from benchmarks.gap.sets import Task, choose, draw_designs, draw_effect, make_plan, make_set
 from benchmarks.gap.signals import signal_by_phase, signals
 from benchmarks.gap.table import (
+    SHOTS,
     Row,
     amounts,
     both_right,
@@ -41,6 +42,7 @@ from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.random import generator
 
 SMALL = ("wall", "rinf_bias")
+ALIKE = ("missed_maximum", "refraction", "clock")
 OPTIONS = ["--sizes", "2x10", "--sets", "1", "--effects", ",".join(SMALL)]
 
 
@@ -196,19 +198,36 @@ def test_that_a_table_of_the_run_has_every_figure(made, tmp_path, capsys) -> Non
     }
 
 
-def test_that_both_arms_begin_with_one_design_and_the_chosen_ones_can_be_shot() -> None:
-    found = run_task(Task("next", 2, 1, "polytropic", 3, effects=SMALL))
+def test_that_both_arms_shoot_until_one_cause_is_named_alone() -> None:
+    found = run_task(Task("next", 1, 10, "polytropic", 4, True, effects=ALIKE))
     assert "error" not in found
-    assert found["designs"][0] == found["chosen_designs"][0]
-    assert found["designs"][1] != found["chosen_designs"][1]
-    assert len(found["gains"]) == 1
-    assert found["gains"][0] > 0.0
-    DesignSpace().check(torch.tensor(found["chosen_designs"], dtype=torch.float64))
-    assert all(0.0 < found["p_true"][arm] < 1.0 for arm in ("chosen", "random"))
-    rows = amounts([found | {"p_true": {"chosen": 0.5 + a, "random": 0.5 - a}} for a in (0.1, 0.2, 0.3)])
-    row = value_of(rows, "gain of designs that tell causes apart over random ones, mean P(true effect)", "3x1")
-    assert (row.value, row.count) == (pytest.approx(0.4), 3)
-    assert row.high - row.low == pytest.approx(2.0 * 1.645 * 0.2 / math.sqrt(3.0))
+    assert found["ambiguous"]
+    for arm in ("chosen", "random"):
+        assert 1 <= len(found["shots"][arm]) <= SHOTS
+        assert found["named"][arm] in (len(found["shots"][arm]), None)
+        assert found["named"][arm] is not None or not found["right"][arm]
+        assert 0.0 <= found["p_true"][arm] <= 1.0
+        DesignSpace().check(torch.tensor(found["shots"][arm], dtype=torch.float64))
+    assert found["shots"]["chosen"][0] != found["shots"]["random"][0]
+
+
+def test_that_sets_with_one_cause_alone_are_counted_and_shot_no_further() -> None:
+    found = run_task(Task("next", 1, 1, "polytropic", 3, effects=SMALL))
+    assert not found["ambiguous"]
+    assert "shots" not in found
+
+
+def test_the_figures_of_further_shots() -> None:
+    def line(named: int | None, right: bool, p: float) -> dict:
+        arms = {"named": {"chosen": named, "random": 3}, "right": {"chosen": right, "random": True}}
+        return {"kind": "next", "size": "3x10", "ambiguous": True, "p_true": {"chosen": p, "random": 0.5}} | arms
+
+    rows = amounts([line(1, True, 0.9), line(2, False, 0.1), line(None, False, 0.8)])
+    share = value_of(rows, "still ambiguous: truth named alone after at most 3 further shots, chosen", "all")
+    assert (share.value, share.count) == (pytest.approx(1.0 / 3.0), 3)
+    assert value_of(rows, "the same, another named alone, chosen", "all").value == pytest.approx(1.0 / 3.0)
+    ratio = value_of(rows, "shots until a cause is named alone, at most 3, chosen over random", "all")
+    assert ratio.value == pytest.approx((1 + 2 + 3) / 9)
 
 
 @pytest.mark.parametrize("truths", ["reference", "modes"])

@@ -19,6 +19,11 @@ What to prepare for a day in the laboratory, three designs chosen together:
 
   imr-torch campaign --models nhkv,gen_qkv --out gel8 --q 3
 
+Why does the model not fit? Each shot is chosen to tell the remaining causes of the gap apart, until one is sure:
+
+  imr-torch campaign --goal cause --models nhkv --out hunt --stop cause=.9 --stop designs=8
+  imr-torch campaign --goal cause --case stiff-pa --hide sound_speed --designs 5 --out practice   # with a simulated gel
+
 What to compare with, and when to end:
 
   imr-torch campaign --case soft-pa --designs 5 --policy random --stop sd=0.01,probability=0.99 --out baseline
@@ -40,6 +45,18 @@ SUMMARY = "design, shoot, learn, and again"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the subcommand."""
+    parser.add_argument(
+        "--goal",
+        choices=("gel", "cause"),
+        default="gel",
+        help="what shots are to tell: the gel's model and parameters (default), or which effect the one model lacks",
+    )
+    parser.add_argument("--effects", metavar="NAME,...", help="with --goal cause: effects that may be the cause (default: all)")
+    parser.add_argument(
+        "--hide",
+        metavar="NAME[=VALUE]",
+        help="with --goal cause and --case: the effect that the simulated gel has, of typical size if no value (SI) is given",
+    )
     parser.add_argument("--designs", type=int, default=2, help="experiments of a simulated campaign (default 2)")
     parser.add_argument(
         "--policy",
@@ -52,7 +69,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="RULE",
-        help="end early: sd=.01 (every parameter), probability=.99 (of a model), gain=.5 (nats), designs=5, "
+        help="end early: sd=.01 (every parameter), probability=.99 (of a model), cause=.9 (with "
+        "--goal cause, its default), gain=.5 (nats), designs=5, "
         "budget=TOTAL:PER_DESIGN:PER_CURVE (what was forgotten is spent, and no datum); with commas all together, given again "
         "any of them",
     )
