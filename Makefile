@@ -1,10 +1,14 @@
-# make demo  sets up, characterises the gel that ships with the project and runs a simulated campaign;  make test  sets up and passes the tests.
+# make demo           sets up, characterises the example gel and runs a simulated campaign; results in imr_torch_demo/
+# make test           sets up and passes the tests
+# make docs           sets up and builds the documentation; open docs/_build/html/index.html
+# make release-check  builds the packages, installs them elsewhere and tries them
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+PIP := PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: setup demo test lint benchmark clean
+.PHONY: setup demo test lint docs benchmark release-check clean
 .DELETE_ON_ERROR:
 
 setup: $(READY)
@@ -12,14 +16,12 @@ setup: $(READY)
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "imr_torch needs Python 3.11 or newer, found " + sys.version)'
 	$(PYTHON) -m venv $(VENV)
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev,arviz,cluster,nuts,xlsx]"
+	$(PIP) -e ".[dev,arviz,cluster,completion,nuts,xlsx]"
 	$(BIN)/python -m imr_torch.simulate.compiled
 	touch $(READY)
 
 demo: setup
-	rm -rf demo
-	$(BIN)/imr-torch characterize tutorials/data/example_gel.csv --models nhkv,gen_qkv --out demo/characterize
-	$(BIN)/imr-torch campaign --case stiff-pa --designs 2 --out demo/campaign
+	$(BIN)/imr-torch demo --again
 
 test: setup
 	$(BIN)/python -m pytest
@@ -29,8 +31,16 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
+docs: setup
+	$(PIP) -e ".[docs]"
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+
 benchmark: setup
 	$(BIN)/python benchmarks/solver.py
 
+release-check: setup
+	$(PIP) -e ".[release]"
+	$(BIN)/python -m benchmarks.release
+
 clean:
-	rm -rf $(VENV) demo
+	rm -rf $(VENV) docs/_build

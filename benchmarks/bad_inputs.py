@@ -36,7 +36,10 @@ from unittest import mock
 import numpy as np
 import torch
 
-import imr_torch.characterize  # noqa: F401  (patched below)
+import imr_torch.characterization
+import imr_torch.cli.design
+import imr_torch.cli.diagnose  # noqa: F401  (all three are patched below)
+from imr_torch import example_gel
 from imr_torch.assimilate import SearchOptions
 from imr_torch.campaign import Campaign, Journal
 from imr_torch.cli import campaign as campaign_command
@@ -44,7 +47,7 @@ from imr_torch.cli import main
 from imr_torch.files import write_json
 from imr_torch.material import wide_prior
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "tutorials" / "data" / "example_gel.csv"
+EXAMPLE = example_gel()
 QUICK = ("--physics", "polytropic", "--threads", "1", "--quiet")
 MODELS = ("--models", "nhkv")
 SMALL = {"map": SearchOptions(scouts=12, starts=2)}
@@ -100,7 +103,7 @@ def without_fits() -> Iterator[None]:
     """Every fit and search ends with :class:`Reached`."""
     with contextlib.ExitStack() as stack:
         modules = sys.modules
-        stack.enter_context(mock.patch.object(modules["imr_torch.characterize"], "assimilate_estimating_noise", _stop))
+        stack.enter_context(mock.patch.object(modules["imr_torch.characterization"], "assimilate_estimating_noise", _stop))
         stack.enter_context(mock.patch.object(modules["imr_torch.cli.diagnose"], "diagnose", _stop))
         stack.enter_context(mock.patch.object(modules["imr_torch.cli.design"], "search_design", _stop))
         stack.enter_context(mock.patch.object(Campaign, "learn", _stop))

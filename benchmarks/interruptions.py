@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from imr_torch import example_gel
 from imr_torch.assimilate import SearchOptions
 from imr_torch.cli import campaign as command
 from imr_torch.cli import main
@@ -37,7 +38,7 @@ from imr_torch.files import write_json
 WATCHED = ("journal", ".journal", "experiment_", ".experiment_", "campaign.json", ".campaign.json")
 OPTIONS = shlex.split("--models nhkv --policy space-filling --repeats 1 --physics polytropic --threads 1 --quiet")
 QUICK = SearchOptions(scouts=12, starts=2)
-EXAMPLE = Path(__file__).resolve().parents[1] / "tutorials" / "data" / "example_gel.csv"
+EXAMPLE = example_gel()
 
 
 class Disk:

@@ -21,7 +21,7 @@ import torch
 
 from imr_torch import characterize, load_traces
 from imr_torch.assimilate import ModelFit, SearchOptions, Verdict
-from imr_torch.characterize import Characterization, predictive_band
+from imr_torch.characterization import Characterization, predictive_band
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.observe import NUISANCES, TraceSet, collapse_time, find_landmarks, prepare
 from imr_torch.plot import plot_experiment

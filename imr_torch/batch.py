@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from imr_torch.assimilate import FitOptions
-from imr_torch.characterize import characterize
+from imr_torch.characterization import characterize
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.files import read_json, write_atomically, write_json
 from imr_torch.material import PARAMETERS, Belief

@@ -3,12 +3,12 @@
 import json
 import re
 import shutil
-from pathlib import Path
 
 import pytest
 import torch
 
 from benchmarks.interruptions import Disk
+from imr_torch import example_gel
 from imr_torch.campaign import Journal
 from imr_torch.cli import COMMANDS, main, parser
 from imr_torch.cli.campaign import settings_of
@@ -20,7 +20,7 @@ from imr_torch.results import draw_figures
 from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator
 from tests.journals import cut
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "tutorials" / "data" / "example_gel.csv"
+EXAMPLE = example_gel()
 TRUTH = {"G": 8310.0, "mu": 0.093}
 TABLE = "experiment_id,time_s,radius_m\n"
 QUICK = ["--physics", "polytropic", "--quiet"]

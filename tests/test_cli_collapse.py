@@ -10,7 +10,7 @@ from imr_torch.cli import main
 from imr_torch.observe import load_collapse_times
 from imr_torch.results import characterization_page, draw_figures
 
-DATA = Path(__file__).parents[1] / "tutorials" / "data"
+DATA = Path(__file__).parents[1] / "imr_torch" / "data"
 QUICK = ["--physics", "polytropic", "--models", "nhkv", "--quiet"]
 TABLE = DATA / "pimr_pa_05.csv"
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import torch
 
-from imr_torch import characterize, wide_prior
+from imr_torch import characterize, example_gel, wide_prior
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError
 from imr_torch.files import check_target, write_json
 from imr_torch.material import Belief, ModelBelief
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "tutorials" / "data" / "example_gel.csv"
+EXAMPLE = example_gel()
 QUICK = ["--physics", "polytropic", "--quiet"]
 FIT = ["characterize", str(EXAMPLE), "--models", "nhkv", "--noise", "published", *QUICK]
 

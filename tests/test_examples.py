@@ -73,6 +73,8 @@ def test_that_an_example_which_prints_something_else_fails() -> None:
 def test_that_the_public_objects_are_looked_at() -> None:
     names = public_objects()
     assert len(names) > 150
-    assert {"imr_torch.characterize.characterize", "imr_torch.units.Surroundings", "imr_torch.gap.diagnose.diagnose"} <= set(
-        names
-    )
+    assert {
+        "imr_torch.characterization.characterize",
+        "imr_torch.units.Surroundings",
+        "imr_torch.gap.diagnose.diagnose",
+    } <= set(names)

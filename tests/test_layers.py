@@ -96,7 +96,7 @@ def test_that_the_stages_that_exist_were_looked_at() -> None:
         ("if True:\n    import imr_torch.gap", ("campaign", "loop"), "gap"),
         ("from imr_torch.export import to_arviz", ("campaign", "loop"), "export"),
         ("from imr_torch.cli import main", ("export", "arviz"), "cli"),
-        ("from imr_torch.characterize import characterize", ("export", "arviz"), "characterize"),
+        ("from imr_torch.characterization import characterize", ("export", "arviz"), "characterization"),
     ],
 )
 def test_that_the_checker_finds_an_import_against_the_flow(source: str, module: tuple[str, ...], culprit: str) -> None:

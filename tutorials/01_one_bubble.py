@@ -1,9 +1,11 @@
 # %% [markdown]
 # # One bubble
+# You will be able to simulate bubbles in any gel of the catalogue and plot R(t). Takes some seconds on one core.
+#
 # A laser makes a bubble in a gel; it collapses and rebounds. Here we simulate it, see what each property of the gel
 # does to the curve, and learn the four objects that everything else is made of: parameters, designs, times, solution.
 #
-# Run this file as a script, or cell by cell in VS Code or Jupyter (with jupytext).
+# The notebook and the script of the same name hold the same cells.
 
 # %%
 import os

@@ -1,5 +1,8 @@
 # %% [markdown]
 # # Load your file
+# You will be able to load files of your camera, whatever their columns are called, and get properties with intervals. Takes
+# a minute and a half on one core.
+#
 # From the file your camera software wrote to properties with intervals. We load a CSV that ships with the project,
 # then build files with the usual troubles and see what the loader says.
 
@@ -11,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from scipy.io import savemat
 
+from imr_torch import example_gel
 from imr_torch.assimilate import SearchOptions
-from imr_torch.characterize import characterize, predictive_band
+from imr_torch.characterization import characterize, predictive_band
 from imr_torch.errors import InputDataError
 from imr_torch.material import wide_prior
 from imr_torch.observe import KNOWN_LAYOUTS, Layout, find_landmarks, load_traces
@@ -20,7 +24,6 @@ from imr_torch.plot import plot_experiment
 from imr_torch.simulate import TransportSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
-HERE = Path(__file__).parent if "__file__" in globals() else Path("tutorials")
 OUT = Path(tempfile.mkdtemp()) if SMOKE else Path("out/02")
 OUT.mkdir(parents=True, exist_ok=True)
 
@@ -30,7 +33,7 @@ OUT.mkdir(parents=True, exist_ok=True)
 # The report tells what was read and what was left out; nothing is dropped in silence.
 
 # %%
-traces = load_traces(HERE / "data" / "example_gel.csv")
+traces = load_traces(example_gel())
 print(traces.report())
 
 # %% [markdown]

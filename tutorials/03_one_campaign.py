@@ -1,5 +1,8 @@
 # %% [markdown]
 # # One campaign
+# You will be able to let the toolkit choose your next experiment, tell it the result, and resume where you stopped. Takes
+# half a minute on one core.
+#
 # Gels are costly, so each experiment should be the one that tells most. We keep a gel secret, ask for the most
 # informative design, shoot it, learn, and ask again.
 

@@ -1,5 +1,8 @@
 # %% [markdown]
 # # Add a model
+# You will be able to use a constitutive law of your own everywhere: simulation, fit, evidence, design. Takes some two
+# minutes, most of them for compiling the new laws on one core.
+#
 # Your gel obeys none of the laws that ship with the toolkit? Write yours in one file, as here: parameters, a law, a model.
 # Nothing else changes; both simulators and both engines, the fit, the evidence and the design of experiments take it by its
 # name. Inside the project it is the same file, put into `imr_torch/material/`, and its test: whatever lies there is imported.

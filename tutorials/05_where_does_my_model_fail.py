@@ -1,5 +1,8 @@
 # %% [markdown]
 # # Where does my model fail?
+# You will be able to ask whether your model explains your curves, and which effect it may lack. Takes some five minutes on
+# one core.
+#
 # A fit always returns numbers. Whether the model behind them is right is another question: refitting hides most of a missing
 # effect in biased parameters. We keep an effect secret, let the diagnosis look for it, and then look at a file.
 
@@ -10,13 +13,13 @@ from pathlib import Path
 
 import torch
 
+from imr_torch import example_gel
 from imr_torch.gap import LIBRARY, describe, diagnose, examine, library, noise_of_traces, plots, to_json, write_page
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory, load_traces, prepare
 from imr_torch.simulate import PolytropicSimulator, TransportSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
-HERE = Path(__file__).parent if "__file__" in globals() else Path("tutorials")
 OUT = Path(tempfile.mkdtemp()) if SMOKE else Path("out/05")
 OUT.mkdir(parents=True, exist_ok=True)
 
@@ -67,11 +70,11 @@ print(blind.verdict, blind.cause, "-", blind.reason)
 # %% [markdown]
 # ## Your file
 # Single curves have no repeats to take the noise from; it is taken from how rough they are, and as correlated. On the command
-# line: `imr-torch diagnose tutorials/data/example_gel.csv --html page.html`.
+# line: `imr-torch diagnose example_gel.csv --html page.html`.
 
 # %%
 physics = PolytropicSimulator() if SMOKE else TransportSimulator()
-traces = load_traces(HERE / "data" / "example_gel.csv")
+traces = load_traces(example_gel())
 curves = prepare(traces.select(["shot_1"]) if SMOKE else traces).experiments
 noise = noise_of_traces(curves)
 print(f"noise {noise}")

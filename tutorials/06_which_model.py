@@ -1,5 +1,8 @@
 # %% [markdown]
 # # Which model?
+# You will be able to compare models by evidence and by held-out curves, and say what their probabilities do not say. Takes
+# about a minute on one core.
+#
 # Two questions are easily confused: which of my models do the data support, and is any of them right? Here we fit three
 # constitutive models to the same curves, compare them by evidence and by held-out curves, and read the small print.
 

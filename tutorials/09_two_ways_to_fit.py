@@ -1,7 +1,7 @@
 # %% [markdown]
 # # Two ways to fit: the most probable gel, and ensemble 4D-Var
 # You will be able to choose between the two methods that fit a gel, and to say what each of them does to your intervals.
-# Takes half a minute.
+# Takes half a minute on one core.
 #
 # - **The default** (`SearchOptions`) looks for the most probable gel: Gauss-Newton steps from several starts, with slopes by
 #   finite differences. Each fit carries a certificate: the gradient at its end, and whether two starts ended in one place.
@@ -14,18 +14,16 @@
 
 # %%
 import os
-from pathlib import Path
 
 import torch
 
-from imr_torch import load_traces
+from imr_torch import example_gel, load_traces
 from imr_torch.assimilate import En4DVarOptions, SearchOptions, assimilate, assimilate_en4dvar, weigh
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import ExperimentBatch, Noise, prepare
 from imr_torch.simulate import PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
-DATA = Path(__file__).parent / "data" / "example_gel.csv"
 
 # %% [markdown]
 # ## Data
@@ -34,7 +32,7 @@ DATA = Path(__file__).parent / "data" / "example_gel.csv"
 
 # %%
 simulator = PolytropicSimulator()
-experiments = prepare(load_traces(DATA)).experiments
+experiments = prepare(load_traces(example_gel())).experiments
 batch = ExperimentBatch(experiments[:2] if SMOKE else experiments, Noise(scale=0.2, floor=0.015))
 prior = wide_prior(("nhkv",))
 

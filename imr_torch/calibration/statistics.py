@@ -86,7 +86,7 @@ class Reliability:
         low: lower end of its 95 % confidence interval.
         high: its upper end.
         counts: cases in that bin.
-        error: expected calibration error, the mean of |share - stated| over cases.
+        error: expected calibration error, the mean of ``|share - stated|`` over cases.
         error_low: lower end of its 95 % bootstrap interval.
         error_high: its upper end.
         by_chance: mean of ``error`` if the stated probabilities were right, for this many cases; it is never zero.

@@ -1,10 +1,14 @@
-"""The command ``imr-torch``: one file per subcommand, results as text, JSON and figures.
+"""The command ``imr-torch``: results as text, JSON and figures.
+
+Each subcommand has two modules of its name: help and options in :mod:`imr_torch.cli.options`, which are light, and what it
+runs in :mod:`imr_torch.cli`, imported when it is asked for.
 
 Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that did not converge or a file
 that could not be written, 130 interrupted by the user.
 """
 
 import argparse
+import importlib
 import io
 import os
 import sys
@@ -12,15 +16,12 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-import torch
-
-from imr_torch.cli import batch, campaign, characterize, compare, design, diagnose, plot, simulate
-from imr_torch.cli.common import add_engine_arguments
+from imr_torch.cli.completion import PrintCompletion
+from imr_torch.cli.options import COMMANDS
+from imr_torch.cli.options.shared import add_engine_arguments
 from imr_torch.cli.progress import Terminal
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, InputDataError
 from imr_torch.files import check_target
-
-COMMANDS = (simulate, characterize, batch, compare, design, campaign, diagnose, plot)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -29,7 +30,11 @@ def parser() -> argparse.ArgumentParser:
         prog="imr-torch",
         description="Inertial microcavitation rheometry: simulate bubbles, infer gel properties from R(t), design the next "
         "experiment.",
-        epilog="Start with:  imr-torch campaign --case stiff-pa --designs 2 --out demo",
+        epilog="Start with:  imr-torch demo",
+    )
+    top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    top.add_argument(
+        "--print-completion", action=PrintCompletion, help="print the script that completes this command in a shell"
     )
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for module in COMMANDS:
@@ -45,7 +50,6 @@ def parser() -> argparse.ArgumentParser:
         add_engine_arguments(sub)
         sub.add_argument("--quiet", action="store_true", help="no progress on the terminal")
         sub.add_argument("--verbose", action="store_true", help="every step of the fits, instead of one line of progress")
-        sub.set_defaults(run=module.run)
     return top
 
 
@@ -54,7 +58,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser().parse_args(argv)
     args.argv = list(sys.argv[1:] if argv is None else argv)
     args.terminal = Terminal(args.command, quiet=args.quiet, verbose=args.verbose)
-    torch.set_num_threads(1)  # of tensor operators, which are small here; the engine has threads of its own
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names of experiments on a terminal that lacks their letters
@@ -62,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _check_targets(args)
         with args.terminal, warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the certificate is printed with the result
-            args.run(args)
+            _run(args)
         sys.stdout.flush()
     except ConvergenceError as error:
         return _ended(f"not converged: {error}", 1)
@@ -76,6 +79,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         return _ended(str(error) or "stopped; what was written is complete", 130)
     return 0
+
+
+def _run(args: argparse.Namespace) -> None:
+    """Import what the subcommand runs, and run it."""
+    module = importlib.import_module(f"imr_torch.cli.{args.command}")
+    importlib.import_module("torch").set_num_threads(1)  # of tensor operators, which are small; the engine has its own threads
+    module.run(args)
+
+
+class _Version(argparse.Action):
+    """Prints the version and ends; it is looked up only then."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        import imr_torch
+
+        print(f"imr-torch {imr_torch.__version__}")
+        parser.exit()
 
 
 def _ended(message: str, status: int) -> int:

@@ -1,23 +1,4 @@
-"""Infer a gel's properties from measured R(t): intervals, model probabilities, and figures of the fit.
-
-  imr-torch characterize gel.csv --out result
-  imr-torch characterize day1/ "day2/*.csv"
-  imr-torch characterize day1/ --population --html day1.html
-  imr-torch characterize gel.csv --layout "radius=R,radius_unit=um,time=t,time_unit=us"
-  imr-torch characterize wide.csv --layout "radius=*,radius_unit=um,time=t,time_unit=us"
-  imr-torch characterize bubble.mat --layout "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat"
-
-Files are tables (text or .xlsx) with the columns experiment_id, time_s, radius_m, or with units in the header ("time (us)",
-"R [um]"), MATLAB files, or .npz. What their names do not say, --layout says; units are never guessed. In a wide table
-every column of radii is a curve. A JSON file of the same name beside a file may give R_inf, Rmax, their sd, medium, frame
-rate, pixel size and exposure. A table with the columns experiment_id, rmax_m, stretch, collapse_time_s holds shots of which no
-more is known (errors: collapse_time_sd_s, 20 ns if not given, rmax_sd_m, stretch_sd), alone or beside curves of the same gel.
---medium states density, sound speed, surface tension, temperature and ambient pressure of the gel (--medium
-water,temperature=310,density=1125:11: with a standard deviation it is inferred beside the gel); the report says what was
-assumed and whether that matters. All curves are taken to be of one gel and are fitted together; --each fits every curve by
-itself, which shows whether they agree, and --population says how much the gel differs between them, by evidence. The report
-says whether the model explains the curves, which rows were left out, which frames were fitted, and why.
-"""
+"""Runs ``imr-torch characterize``; its help and options are in :mod:`imr_torch.cli.options.characterize`."""
 
 import argparse
 import shlex
@@ -26,14 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from imr_torch.assimilate import NOISE_ROUNDS
-from imr_torch.characterize import EFFORTS, FRAMES, characterize
+from imr_torch.characterization import characterize
 from imr_torch.cli.common import (
-    COLLAPSES,
     METHODS,
-    add_medium_argument,
-    add_physics_argument,
-    add_prior_arguments,
-    add_window_arguments,
     header_of,
     layout_of,
     names_of,
@@ -46,6 +22,7 @@ from imr_torch.cli.common import (
     write_result,
 )
 from imr_torch.cli.figures import save_figures, subfolder
+from imr_torch.cli.options.names import COLLAPSES
 from imr_torch.cli.progress import characterize_stages
 from imr_torch.errors import ConvergenceError, ImrError, InputDataError
 from imr_torch.files import write_atomically
@@ -55,58 +32,6 @@ from imr_torch.observe import CollapseShot, TraceSet, find_files, load_collapse_
 from imr_torch.observe.collapse import is_collapse_file
 from imr_torch.population import SCALE
 from imr_torch.results import characterization_document, characterization_page, draw_figures
-
-NAME = "characterize"
-SUMMARY = "properties of a gel from measured R(t) files"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of the subcommand."""
-    parser.add_argument("files", nargs="+", metavar="FILE", help="files (CSV, text, .xlsx, MATLAB, .npz), folders or patterns")
-    parser.add_argument("--layout", metavar="TEXT", help="how to read the files: name=value pairs, see above")
-    parser.add_argument("--experiments", metavar="ID,...", help="fit only these experiments")
-    parser.add_argument("--each", action="store_true", help="fit every curve by itself instead of all together")
-    parser.add_argument(
-        "--population",
-        action="store_true",
-        help="also fit every curve by itself and infer how much the gel differs from shot to shot: median, scatter, evidence",
-    )
-    parser.add_argument(
-        "--scatter-scale",
-        type=float,
-        metavar="SD",
-        help=f"scale of the half-normal prior of the scatters of ln G, ln mu, ... (default {SCALE:g})",
-    )
-    add_window_arguments(parser)
-    parser.add_argument(
-        "--scores",
-        action="store_true",
-        help="also hold curves out and score how well each model predicts them from the others",
-    )
-    parser.add_argument(
-        "--method",
-        choices=tuple(METHODS),
-        default="map",
-        help="the most probable gel by multistart Gauss-Newton (default), or hybrid ensemble 4D-Var, with the data's own "
-        "likelihood or with the tempered one of arXiv 2409.00011; draws are weighed by the posterior after either",
-    )
-    parser.add_argument(
-        "--effort",
-        choices=tuple(EFFORTS),
-        default="normal",
-        help="how far draws are weighed where they do not settle the intervals of a model (default normal)",
-    )
-    parser.add_argument(
-        "--frames",
-        choices=FRAMES,
-        default="all",
-        help="single bad frames are named; `robust` leaves them out of the fit too (default all)",
-    )
-    parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
-    parser.add_argument("--html", metavar="FILE", help="write the result with its figures as one HTML file")
-    add_medium_argument(parser)
-    add_physics_argument(parser)
-    add_prior_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> None:

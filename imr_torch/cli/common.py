@@ -1,4 +1,4 @@
-"""What the subcommands share: priors from options, progress, and where results go."""
+"""What the runs of subcommands share: priors and simulators from options, progress, and where results go."""
 
 import argparse
 import math
@@ -14,18 +14,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
-from imr_torch.characterize import medium_of
+from imr_torch.characterization import medium_of
 from imr_torch.cli.figures import save
+from imr_torch.cli.options.names import DEFAULT_MODELS
 from imr_torch.cli.progress import Stage, Terminal
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
-from imr_torch.material import CASES, MATERIALS, PARAMETERS, Belief, reference_case, wide_prior
-from imr_torch.material.media import NAMED
+from imr_torch.material import PARAMETERS, Belief, reference_case, wide_prior
 from imr_torch.observe import CollapseShot, GelMedium, Layout, Statement, TraceSet
 from imr_torch.results import header
 from imr_torch.simulate import (
     ACCURACIES,
-    ENGINES,
     ParallelSimulator,
     PolytropicSimulator,
     Simulator,
@@ -40,40 +39,6 @@ SIMULATORS: dict[str, AnySimulator] = {
     "transport": TransportSimulator(accuracy=ACCURACIES["search"]),
 }
 _CHUNK = 128  # a design's information gain takes some four hundred bubbles
-DEFAULT_MODELS = "newtonian,nhkv,gen_qkv"
-
-
-def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options that choose the prior belief."""
-    group = parser.add_argument_group("what is believed before")
-    group.add_argument("--case", choices=list(CASES), help="prior of a reference gel of the literature")
-    group.add_argument("--belief", metavar="FILE", help="a saved belief (the 'belief' of an earlier --json, or Belief.save)")
-    group.add_argument(
-        "--models",
-        help=f"candidate models, of {', '.join(MATERIALS)} (default {DEFAULT_MODELS})",
-    )
-    group.add_argument(
-        "--known",
-        default="",
-        metavar="NAME=VALUE,...",
-        help="independently measured parameters in SI, which are not inferred (qkv needs G=...)",
-    )
-
-
-COLLAPSES = 2
-"""Collapses in the fitted window, if not said otherwise."""
-
-
-def add_window_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options for which part of a curve is fitted, and with what noise."""
-    parser.add_argument("--collapses", type=int, default=COLLAPSES, help="collapses in the fitted window (default %(default)s)")
-    parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for records without a tail")
-    parser.add_argument(
-        "--noise",
-        choices=("estimated", "published"),
-        default="estimated",
-        help="observation noise: estimated from the residuals (default), or the published law",
-    )
 
 
 METHODS: dict[str, FitOptions] = {
@@ -82,28 +47,6 @@ METHODS: dict[str, FitOptions] = {
     "en4dvar-tempered": En4DVarOptions(tempered=True),
 }
 """Methods that fit a gel, by name."""
-
-
-def add_physics_argument(parser: argparse.ArgumentParser) -> None:
-    """The option that chooses the simulator."""
-    parser.add_argument(
-        "--physics",
-        choices=tuple(SIMULATORS),
-        default="transport",
-        help="transport of heat and vapour, as in real bubbles (default), or polytropic gas, some 20 times faster and biased",
-    )
-
-
-MEDIUM_HELP = (
-    "the medium: a name and values in SI, each with an optional standard deviation, for example "
-    "water,temperature=310,density=1125:11 (properties density, sound_speed, surface_tension, temperature, pressure; names "
-    f"{', '.join(NAMED)}); what is not stated is assumed"
-)
-
-
-def add_medium_argument(parser: argparse.ArgumentParser) -> None:
-    """The option that states the medium."""
-    parser.add_argument("--medium", metavar="TEXT", help=MEDIUM_HELP)
 
 
 def statement_of(args: argparse.Namespace) -> Statement | None:
@@ -124,29 +67,11 @@ def with_medium(
     return medium.applied(simulator), medium.believed(prior), medium
 
 
-def add_engine_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options that choose the engine and its threads."""
-    parser.add_argument(
-        "--engine",
-        choices=ENGINES,
-        default="compiled",
-        help="what integrates the bubbles: compiled code (default), or tensors through torchdiffeq; same results, slower",
-    )
-    parser.add_argument(
-        "--threads", type=int, metavar="N", help="processor threads of the compiled engine (default: all cores)"
-    )
-
-
 def with_engine(simulator: AnySimulator, args: argparse.Namespace) -> AnySimulator:
     """A simulator with the engine and threads that the options name."""
     if args.threads is not None and args.threads < 1:
         raise InputDataError(f"--threads is {args.threads}; expected at least 1.")
     return replace(simulator, engine=args.engine, threads=args.threads)
-
-
-def add_workers_argument(parser: argparse.ArgumentParser) -> None:
-    """The option that spreads large batches over processes; the batches of one model's fit are too small to gain by it."""
-    parser.add_argument("--workers", type=int, default=1, help="processes that share large batches (default 1)")
 
 
 def simulator_of(args: argparse.Namespace, *, chunk: int = _CHUNK) -> Simulator:

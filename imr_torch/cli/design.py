@@ -1,21 +1,12 @@
-"""Find the experiment that is expected to tell most: the (We, R_inf*) of largest expected information gain.
-
-imr-torch design --case stiff-pa --out next
-imr-torch design --belief posterior.json --we-range 150:600 --rinf-range 0.15:0.25
-imr-torch design --models nhkv,gen_qkv --q 3        # what to prepare for a day in the laboratory
-"""
+"""Runs ``imr-torch design``; its help and options are in :mod:`imr_torch.cli.options.design`."""
 
 import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from imr_torch.campaign import Optimal
 from imr_torch.cli.common import (
-    add_medium_argument,
-    add_physics_argument,
-    add_prior_arguments,
-    add_workers_argument,
     check_counts,
     parse_pair,
     prior_of,
@@ -39,7 +30,6 @@ from imr_torch.design import (
     Plan,
     PriorContrastive,
     PublishedEstimator,
-    Target,
     search_design,
 )
 from imr_torch.errors import InputDataError
@@ -59,43 +49,6 @@ ESTIMATORS: dict[str, Callable[[int], InformationEstimator]] = {
     "contrastive": PriorContrastive,
     "paper": PublishedEstimator,
 }
-NAME = "design"
-SUMMARY = "the most informative next experiment"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of the subcommand."""
-    add_space_arguments(parser)
-    parser.add_argument(
-        "--q", type=int, default=1, help="designs to prepare together, each chosen beside those before it (default 1)"
-    )
-    parser.add_argument(
-        "--target", choices=get_args(Target), default="both", help="what the information is to be about (default both)"
-    )
-    parser.add_argument(
-        "--strategy", choices=tuple(STRATEGIES), default="qLogNEI", help="how designs to evaluate are chosen (default qLogNEI)"
-    )
-    parser.add_argument(
-        "--estimator", choices=tuple(ESTIMATORS), default="laplace", help="of the information gain (default laplace)"
-    )
-    parser.add_argument("--draws", type=int, default=16, help="draws per model of each estimate (default 16)")
-    parser.add_argument("--out", metavar="DIR", help="folder for the map and JSON")
-    add_medium_argument(parser)
-    add_physics_argument(parser)
-    add_workers_argument(parser)
-    add_prior_arguments(parser)
-
-
-def add_space_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options for the designs a laboratory can shoot and how it will observe them."""
-    parser.add_argument("--we-range", default="100:1000", metavar="LOW:HIGH", help="Weber numbers (default 100:1000)")
-    parser.add_argument("--rinf-range", default="0.14:0.30", metavar="LOW:HIGH", help="R_inf/Rmax (default 0.14:0.30)")
-    parser.add_argument(
-        "--repeats", type=int, help="curves per design (default 100 with --case, as in the literature, else 10)"
-    )
-    parser.add_argument(
-        "--evaluations", type=int, default=Optimal.evaluations, help="designs evaluated in each search (default %(default)s)"
-    )
 
 
 def space_of(args: argparse.Namespace) -> DesignSpace:

@@ -4,6 +4,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import matplotlib
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
@@ -11,6 +12,8 @@ from imr_torch.errors import InputDataError
 from imr_torch.files import write_atomically
 from imr_torch.labels import file_name
 from imr_torch.results import NamedFigure
+
+matplotlib.use("Agg")  # commands write files and open no window
 
 FORMATS = ("png", "pdf", "svg")
 _DPI = 150

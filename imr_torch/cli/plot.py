@@ -1,36 +1,19 @@
-"""Draw the figures and the page of a result again, from its JSON alone.
-
-  imr-torch plot result/characterize.json
-  imr-torch plot result/characterize.json --out paper --format pdf,svg --html gel.html
-
-Nothing is computed again. Results of characterize, diagnose, design, campaign and simulate hold what their figures need.
-Figures go beside the JSON file, or into --out.
-"""
+"""Runs ``imr-torch plot``; its help and options are in :mod:`imr_torch.cli.options.plot`."""
 
 import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from imr_torch.cli.figures import FORMATS, formats_of, save_figures, subfolder
+from imr_torch.cli.figures import formats_of, save_figures, subfolder
 from imr_torch.errors import InputDataError
 from imr_torch.html import write
 from imr_torch.results import campaign_page, characterization_page, draw_figures, read_document
 
-NAME = "plot"
 _PAGES: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "imr_torch characterize": characterization_page,
     "imr_torch campaign": campaign_page,
 }
-SUMMARY = "the figures of a result, from its JSON"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of the subcommand."""
-    parser.add_argument("file", metavar="RESULT.json", help="a result that --json or --out wrote")
-    parser.add_argument("--out", metavar="DIR", help="folder of the figures (default: that of the JSON file)")
-    parser.add_argument("--format", default="png,pdf", metavar="NAME,...", help=f"of {', '.join(FORMATS)} (default png,pdf)")
-    parser.add_argument("--html", metavar="FILE", help="write the page of a characterisation or campaign too")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -1,21 +1,13 @@
-"""Simulate one bubble: a gel and a design in, R(t) out.
-
-  imr-torch simulate --model nhkv --set G=8310,mu=0.093 --we 300 --rinf 0.2 --out bubble
-
-Values are in SI units (G in Pa, mu in Pa s). The design is the Weber number We = p_inf Rmax/(2 gamma) and
-R_inf* = R_inf/Rmax. --medium states the density, sound speed, surface tension, temperature and ambient pressure.
-"""
+"""Runs ``imr-torch simulate``; its help and options are in :mod:`imr_torch.cli.options.simulate`."""
 
 import argparse
 from pathlib import Path
 
 import torch
 
-from imr_torch.characterize import medium_of
+from imr_torch.characterization import medium_of
 from imr_torch.cli.common import (
     AnySimulator,
-    add_medium_argument,
-    add_physics_argument,
     parse_values,
     statement_of,
     with_engine,
@@ -23,7 +15,7 @@ from imr_torch.cli.common import (
 )
 from imr_torch.cli.figures import save_figures
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.material import MATERIALS, PARAMETERS, material
+from imr_torch.material import PARAMETERS, material
 from imr_torch.observe import TraceSet
 from imr_torch.results import draw_figures
 from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, TransportSimulator
@@ -32,24 +24,8 @@ SIMULATORS: dict[tuple[str, str], AnySimulator] = {
     **{("polytropic", name): PolytropicSimulator(stepping=stepping) for name, stepping in STEPPINGS.items()},
     **{("transport", name): TransportSimulator(accuracy=accuracy) for name, accuracy in ACCURACIES.items()},
 }
-NAME = "simulate"
 _LARGEST_WEBER = 1e5  # a bubble of 11 cm
 _MOST_FRAMES, _LATEST = 1_000_000, 1000.0
-SUMMARY = "R(t) of one bubble in a gel"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of the subcommand."""
-    parser.add_argument("--model", default="nhkv", help=f"constitutive model, of {', '.join(MATERIALS)} (default nhkv)")
-    parser.add_argument("--set", default="", metavar="NAME=VALUE,...", help="parameters of the model in SI units")
-    parser.add_argument("--we", type=float, default=300.0, help="Weber number (default 300: Rmax 332 um)")
-    parser.add_argument("--rinf", type=float, default=0.2, help="R_inf/Rmax (default 0.2)")
-    parser.add_argument("--until", type=float, default=4.0, help="last time, in Rmax/U_c (default 4)")
-    parser.add_argument("--frames", type=int, default=161, help="number of output times (default 161)")
-    parser.add_argument("--accuracy", choices=("fast", "default", "reference"), default="default", help="named setting")
-    add_medium_argument(parser)
-    add_physics_argument(parser)
-    parser.add_argument("--out", metavar="DIR", help="folder for figure and JSON")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -16,6 +16,7 @@ from torch import Tensor
 _ENOUGH = 0.5  # share of draws that must be simulated for an estimate to count
 
 Target = Literal["parameters", "model", "both"]
+"""What the information is to be about."""
 
 
 @dataclass(frozen=True)

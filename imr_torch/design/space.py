@@ -17,6 +17,7 @@ from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.units import Surroundings
 
 DESIGN_NAMES = ("We", "R_inf*")
+"""The two numbers of a design, in the order of tensors of designs."""
 
 
 @dataclass(frozen=True)

@@ -85,12 +85,12 @@ class CauseLearner:
         """
         base = _only(prior)
         offered = library(self.effects or None, base=base.model)
-        noise = noise_of_traces(batch.experiments) if self.estimate_noise else batch.noise
+        noise = noise_of_traces(batch.curves) if self.estimate_noise else batch.noise
         key = _key(base, [e.name for e in offered], batch, vars(noise), described(simulator), seed, self.most)
         if key not in _MADE:
             own = child(seed, "diagnose", len(batch.experiments))
             made = diagnose(
-                batch.experiments,
+                batch.curves,
                 base=base,
                 effects=offered,
                 noise=noise,
@@ -211,6 +211,6 @@ def _base_posterior(report: GapReport) -> ModelBelief:
 
 def _key(base: ModelBelief, names: list[str], batch: ExperimentBatch, *rest: object) -> str:
     """All that a diagnosis depends on, as one hash."""
-    curves = [(curve_hash(e), e.design, e.nuisance) for e in batch.experiments]
+    curves = [(curve_hash(e), e.design, e.nuisance) for e in batch.curves]
     prior = Belief((base,), torch.zeros(1, dtype=torch.float64)).to_dict()
     return hashlib.sha256(json.dumps([prior, names, curves, rest], default=repr).encode()).hexdigest()

@@ -31,7 +31,7 @@ from imr_torch.gap.lookalike import LIKE
 from imr_torch.gap.score import STATE_LAW, law_steps
 from imr_torch.gap.verdict import OTHER
 from imr_torch.material import LIBRARY, PARAMETERS, Belief, ModelBelief
-from imr_torch.observe import Experiment, ExperimentBatch, Nuisance, predict
+from imr_torch.observe import ExperimentBatch, Nuisance, predict
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 
@@ -58,7 +58,7 @@ def plan_of(batch: ExperimentBatch) -> Plan:
     def middle(values: list[float]) -> float:
         return float(torch.tensor(values, dtype=torch.float64).median())
 
-    every: tuple[Experiment, ...] = batch.experiments
+    every = batch.curves
     first, last = (middle([float(e.times[i]) for e in every]) for i in (0, -1))
     frames = round(middle([len(e.times) for e in every]))
     return Plan(

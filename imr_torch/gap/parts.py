@@ -161,8 +161,9 @@ def closed_by(
     fits = {name: report.fits[name] for name in names} | {rung.name: rung.fit for rung in ladder.rungs}
     apart = ExperimentBatch(tuple(unseen), report.batch.noise) if unseen else None
     sds = {}
-    for name in ("none", scatter.rival) if scatter else ():
-        fits[name], sds[name] = report.fits[name], scatter.sds[with_scatter(name)]
+    if scatter:
+        for name in ("none", scatter.rival):
+            fits[name], sds[name] = report.fits[name], scatter.sds[with_scatter(name)]
     held = hold_out(fits, report.batch, simulator, seed=own, unseen=apart, scatters=sds, progress=progress)
     ladder = with_held_out(ladder, held, seed=own)
     if len(names) == 1:

@@ -8,9 +8,6 @@ import itertools
 import math
 from collections.abc import Mapping
 
-import matplotlib
-
-matplotlib.use("Agg", force=False)
 import matplotlib.pyplot as plt
 import torch
 from matplotlib.axes import Axes

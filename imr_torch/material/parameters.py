@@ -177,6 +177,7 @@ class ParameterVector:
 
 
 PARAMETERS = ParameterVector()
+"""The one parameter vector, with every registered parameter."""
 
 
 def _modulus(name: str, meaning: str) -> Parameter:

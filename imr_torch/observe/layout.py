@@ -183,3 +183,4 @@ KNOWN_LAYOUTS: Mapping[str, Layout] = MappingProxyType(
         "micrometres_with_rest": Layout("R", radius_unit="um", time="t", rest_radius="Req", rest_radius_unit="um"),
     }
 )
+"""Name -> layout that is recognised without being stated."""

@@ -12,6 +12,7 @@ from torch import Tensor
 from imr_torch.errors import InputDataError
 
 NUISANCES = ("max_radius", "time_zero", "rest_radius")
+"""The nuisances of one experiment, in the order of tensors of them."""
 
 _SMALLEST = 0.1  # of a true Rmax, over the measured one
 

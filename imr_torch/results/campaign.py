@@ -5,7 +5,7 @@ from dataclasses import asdict
 from typing import Any
 
 from imr_torch.campaign import Campaign, Proposal
-from imr_torch.characterize import LEVELS, intervals, predictive_band
+from imr_torch.characterization import LEVELS, intervals, predictive_band
 from imr_torch.material import Belief
 from imr_torch.plot import information_map
 

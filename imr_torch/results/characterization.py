@@ -7,7 +7,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.assimilate.dense import dense_curve
-from imr_torch.characterize import LEVELS, Characterization, predictive_band
+from imr_torch.characterization import LEVELS, Characterization, predictive_band
 from imr_torch.observe import ExperimentBatch, TraceSet
 from imr_torch.simulate import Simulator
 

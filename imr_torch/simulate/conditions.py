@@ -137,7 +137,7 @@ class Medium:
         latent_heat: of evaporation, J/kg.
         warm: whether the gel warms up (by conduction and viscous heating); otherwise the wall keeps the far
             temperature.
-        capacity_of: ``"medium"``: ``heat_capacity``. ``"gas_wall"``: the number ``k/(k-1) R_mix* `` of the gas at the
+        capacity_of: ``"medium"``: ``heat_capacity``. ``"gas_wall"``: the number ``k/(k-1) R_mix*`` of the gas at the
             wall, read as J/(kg K), as the published code does; for parity with it only.
 
     >>> from imr_torch.simulate import Conditions, Medium, TransportSimulator

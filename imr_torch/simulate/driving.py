@@ -68,7 +68,8 @@ class LawDriving:
 
     Attributes:
         law: gives ``p_ac`` and its first two derivatives, SI.
-        values: its numbers; ``knots`` and ``cubics`` a table, one interval of zeros where it needs none.
+        knots: of a table, one interval where it needs none.
+        cubics: its coefficients, zeros where it needs none.
 
     >>> from imr_torch.simulate import GaussianPulse, LawDriving
     >>> pulse = GaussianPulse(-2e4, 30e-6, 5e-6)
@@ -82,7 +83,7 @@ class LawDriving:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """The numbers of the law; none by default."""
+        """The numbers of the law, ``values`` of its arguments; none by default."""
         return ()
 
     def __call__(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -18,7 +18,9 @@ from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.simulator import Simulator
 
 Engine = Literal["compiled", "torchdiffeq"]
+"""What integrates the bubbles."""
 ENGINES = ("compiled", "torchdiffeq")
+"""The names of the engines."""
 
 
 def check_engine(simulator: str, engine: str, threads: int | None) -> None:

@@ -8,7 +8,7 @@ import torch
 
 from imr_torch import Characterization, PolytropicSimulator, characterize, load_traces, wide_prior
 from imr_torch.assimilate import SearchOptions
-from imr_torch.characterize import medium_of
+from imr_torch.characterization import medium_of
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
 from imr_torch.material.media import water_density, water_surface_tension

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from imr_torch import example_gel
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.gap import load_set
 from imr_torch.material import PARAMETERS
@@ -18,7 +19,7 @@ from imr_torch.units import Surroundings
 SIZE, REST = 300e-6, (0.2, 0.01)
 OUTER = Surroundings()
 SCALE = OUTER.time_scale(SIZE)
-EXAMPLE = Path(__file__).resolve().parents[2] / "tutorials" / "data" / "example_gel.csv"
+EXAMPLE = example_gel()
 
 
 def curve(**gel: float) -> tuple[torch.Tensor, torch.Tensor]:

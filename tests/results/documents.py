@@ -4,7 +4,7 @@ import torch
 
 from imr_torch import PolytropicSimulator, characterize, wide_prior
 from imr_torch.assimilate import SearchOptions
-from imr_torch.characterize import Characterization
+from imr_torch.characterization import Characterization
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import RadiusTrace, TraceSet
 from imr_torch.random import generator

@@ -5,22 +5,22 @@ NHKV with G = 8.31 kPa and mu = 0.093 Pa s, heat and vapour transport, 1 us betw
 """
 
 import csv
-from pathlib import Path
 
 import torch
 
+from imr_torch import example_gel
 from imr_torch.files import write_json
 from imr_torch.material import PARAMETERS
 from imr_torch.random import generator
 from imr_torch.simulate import ACCURACIES, TransportSimulator
 
-HERE = Path(__file__).parent
+FOLDER = example_gel().parent
 simulator = TransportSimulator(accuracy=ACCURACIES["reference"])
 surroundings = simulator.conditions.surroundings
 gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
 source = generator(7)
 measured = []
-with (HERE / "example_gel.csv").open("w", newline="") as stream:
+with (FOLDER / "example_gel.csv").open("w", newline="") as stream:
     table = csv.writer(stream)
     table.writerow(["experiment_id", "time_s", "radius_m"])
     for number, (max_radius, rest) in enumerate([(250e-6, 0.17), (300e-6, 0.21), (350e-6, 0.19), (400e-6, 0.23)], start=1):
@@ -34,4 +34,4 @@ with (HERE / "example_gel.csv").open("w", newline="") as stream:
         error = 1.0 + 0.01 * float(torch.randn((), generator=source, dtype=torch.float64))
         entry = {"experiment_id": f"shot_{number}", "Rinf_m": error * rest * max_radius, "Rinf_settled": True}
         measured.append(entry | {"Rinf_tail_std_m": 0.01 * rest * max_radius})
-write_json(HERE / "example_gel.json", {"material": "synthetic NHKV gel", "experiments": measured})
+write_json(FOLDER / "example_gel.json", {"material": "synthetic NHKV gel", "experiments": measured})

@@ -85,7 +85,7 @@ class Effort:
         rounds: of draws, each up to twice as many as the one before.
         behind: nats behind the best model from which a model gets one round only.
 
-    >>> from imr_torch.characterize import EFFORTS
+    >>> from imr_torch.characterization import EFFORTS
     >>> EFFORTS["thorough"].rounds
     8
     """

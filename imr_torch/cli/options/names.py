@@ -1,0 +1,57 @@
+"""Names and defaults that help texts and choices need, written out so that PyTorch is not imported to print them.
+
+A test compares each with the registry or setting that it is taken from.
+"""
+
+MODELS = (
+    "newtonian",
+    "nhe",
+    "nhkv",
+    "qkv",
+    "gen_qkv",
+    "linkv",
+    "fung2",
+    "fungexp",
+    "maxwell",
+    "zener",
+    "sls",
+    "sns",
+    "ucm",
+    "carreau",
+)
+"""Constitutive models."""
+
+CASES = ("stiff-pa", "soft-pa")
+"""Reference gels of the literature."""
+
+MEDIA = (
+    "water",
+    "pbs",
+    "agarose_0.5",
+    "agarose_5",
+    "gelatin_10",
+    "polyacrylamide",
+    "polyacrylamide_10",
+    "peg8k_20",
+    "peg8k_40",
+    "peg8k_60",
+    "peg8k_80",
+)
+"""Media whose properties are known."""
+
+PHYSICS = ("polytropic", "transport")
+ENGINES = ("compiled", "torchdiffeq")
+METHODS = ("map", "en4dvar", "en4dvar-tempered")
+EFFORTS = ("normal", "thorough")
+FRAMES = ("all", "robust")
+TARGETS = ("parameters", "model", "both")
+STRATEGIES = ("qLogNEI", "qEI", "paper")
+ESTIMATORS = ("laplace", "importance", "adaptive", "nested", "contrastive", "paper")
+FORMATS = ("png", "pdf", "svg")
+
+DEFAULT_MODELS = "newtonian,nhkv,gen_qkv"
+COLLAPSES = 2
+"""Collapses in the fitted window, if not said otherwise."""
+SCATTER_SCALE = 0.3
+EVALUATIONS = 25
+EFFECTS_ADDED = 2

@@ -1,0 +1,23 @@
+"""Draw the figures and the page of a result again, from its JSON alone.
+
+  imr-torch plot result/characterize.json
+  imr-torch plot result/characterize.json --out paper --format pdf,svg --html gel.html
+
+Nothing is computed again. Results of characterize, diagnose, design, campaign and simulate hold what their figures need.
+Figures go beside the JSON file, or into --out.
+"""
+
+import argparse
+
+from imr_torch.cli.options.names import FORMATS
+
+NAME = "plot"
+SUMMARY = "the figures of a result, from its JSON"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the subcommand."""
+    parser.add_argument("file", metavar="RESULT.json", help="a result that --json or --out wrote")
+    parser.add_argument("--out", metavar="DIR", help="folder of the figures (default: that of the JSON file)")
+    parser.add_argument("--format", default="png,pdf", metavar="NAME,...", help=f"of {', '.join(FORMATS)} (default png,pdf)")
+    parser.add_argument("--html", metavar="FILE", help="write the page of a characterisation or campaign too")

@@ -1,0 +1,86 @@
+"""The built pages in a real browser: navigation, search, equations, narrow screens. Skipped where they are not built."""
+
+import shutil
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+from imr_torch.labels import file_name
+from imr_torch.material import LIBRARY
+
+BUILT = Path(__file__).resolve().parents[2] / "docs" / "_build" / "html"
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+PAGES = ("index", "start/index", "catalogue/model-sns", "catalogue/effect-wall", "api/material", "howto/file_does_not_load")
+
+pytestmark = [
+    pytest.mark.skipif(not (BUILT / "index.html").exists(), reason="the documentation is not built (make docs)"),
+    pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed"),
+]
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture(scope="module")
+def site():
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(BUILT)))
+    Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_address[1]}"
+    server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with api.sync_playwright() as started:
+        running = started.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield running
+        running.close()
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+@pytest.mark.parametrize("name", PAGES)
+def test_that_no_page_is_wider_than_the_screen(site, browser, name, width):
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    page.goto(f"{site}/{name}.html")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    broken = page.evaluate("[...document.images].filter(x => x.loading != 'lazy' && !x.naturalWidth).map(x => x.src)")
+    assert broken == []
+    page.close()
+
+
+def test_that_one_can_walk_from_the_start_to_an_effect(site, browser):
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto(f"{site}/index.html")
+    page.get_by_role("link", name="Catalogue").first.click()
+    page.get_by_role("link", name="gas_loss").first.click()
+    assert page.locator("h1").inner_text().startswith("gas_loss")
+    assert page.locator("math").count() >= 1
+    page.close()
+
+
+def test_that_the_search_finds_a_page_by_its_words(site, browser):
+    page = browser.new_page()
+    page.goto(f"{site}/search.html?q=medium")
+    page.wait_for_selector("#search-results li a", timeout=20000)
+    assert any("medium" in text.lower() for text in page.locator("#search-results li a").all_inner_texts())
+    page.close()
+
+
+def test_that_the_menu_opens_on_a_narrow_screen(site, browser):
+    page = browser.new_page(viewport={"width": 400, "height": 800})
+    page.goto(f"{site}/index.html")
+    page.locator("label[for=__navigation]:visible").first.click()
+    page.get_by_role("link", name="How-to").first.click()
+    assert page.url.endswith("howto/index.html")
+    page.close()
+
+
+def test_that_every_effect_of_the_library_has_its_page():
+    built = {path.stem for path in (BUILT / "catalogue").glob("effect-*.html")}
+    assert {f"effect-{file_name(name)}" for name in LIBRARY} <= built

@@ -1,0 +1,103 @@
+"""The sources of the documentation: public names, registries and notebooks are all there; commands in it are real."""
+
+import importlib
+import inspect
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+import imr_torch
+from imr_torch.cli import parser
+from imr_torch.material import LIBRARY, MATERIALS
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+WRITTEN = sorted([*DOCS.glob("*.md"), *(x for part in ("start", "howto", "concepts") for x in (DOCS / part).glob("*.md"))])
+
+
+@pytest.fixture(scope="module")
+def extensions():
+    sys.path.insert(0, str(DOCS / "_ext"))
+    yield {name: importlib.import_module(name) for name in ("api", "formulas")}
+    sys.path.remove(str(DOCS / "_ext"))
+
+
+def test_that_every_public_name_has_its_place_in_the_interface(extensions):
+    pages = extensions["api"].entries()
+    documented = {id(getattr(importlib.import_module(e.module), e.name)) for found in pages.values() for e in found}
+    names = {package: extensions["api"].public_names(importlib.import_module(f"imr_torch.{package}")) for package in pages}
+    missing = [
+        f"{package}.{name}"
+        for package, listed in names.items()
+        for name in listed
+        if id(getattr(importlib.import_module(f"imr_torch.{package}"), name)) not in documented
+    ]
+    assert missing == []
+    assert all(id(getattr(imr_torch, name)) in documented for name in imr_torch.__all__)
+    assert sum(map(len, pages.values())) > 300
+
+
+def test_that_every_package_with_public_names_has_a_page(extensions):
+    packages = {path.parent.name for path in (ROOT / "imr_torch").glob("*/__init__.py")}
+    files = {path.stem for path in (ROOT / "imr_torch").glob("*.py")}
+    apart = {"cli", "__init__", "__main__", "batch_page"}
+    assert (packages | files) - set(extensions["api"].PACKAGES) == apart
+
+
+def test_that_every_model_and_effect_has_an_equation(extensions):
+    built_in = [key for key, model in MATERIALS.items() if type(model).__module__.startswith("imr_torch.")]
+    assert set(built_in) == set(extensions["formulas"].MODELS)
+    assert set(extensions["formulas"].EFFECTS) <= set(LIBRARY)
+    laws = {name: effect for name, effect in LIBRARY.items() if name not in extensions["formulas"].EFFECTS}
+    assert [name for name, effect in laws.items() if _of_the_package(effect)] == []
+
+
+def _of_the_package(effect) -> bool:
+    source = "\n".join(path.read_text() for path in (ROOT / "imr_torch").rglob("*.py"))
+    return f'register_effect(\n    Effect(\n        "{effect.name}"' in source
+
+
+def commands() -> list[tuple[str, str]]:
+    found = []
+    for path in WRITTEN:
+        for block in re.findall(r"```shell\n(.*?)```", path.read_text(), re.DOTALL):
+            found += [(path.name, line) for line in block.splitlines() if line.startswith("imr-torch ")]
+    return found
+
+
+@pytest.mark.parametrize(("page", "line"), [x for x in commands() if "--version" not in x[1]])
+def test_that_a_command_of_the_documentation_has_options_that_exist(page, line):
+    parser().parse_args(shlex.split(line, comments=True)[1:])
+
+
+def test_that_commands_were_found():
+    assert len(commands()) > 15
+
+
+def test_that_a_class_or_function_is_documented_by_its_own_directive(extensions):
+    for found in extensions["api"].entries().values():
+        for entry in found:
+            value = getattr(importlib.import_module(entry.module), entry.name)
+            assert (entry.kind in ("class", "exception")) == inspect.isclass(value)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tutorials").glob("[0-9]*.py")), ids=lambda path: path.stem)
+def test_that_the_notebook_holds_the_cells_of_its_script_and_output(path):
+    pytest.importorskip("jupytext")
+    from benchmarks.notebooks import cells
+
+    notebook = path.with_suffix(".ipynb")
+    assert cells(notebook) == cells(path)
+    text = notebook.read_text()
+    assert '"output_type"' in text
+    assert str(ROOT) not in text
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tutorials").glob("[0-9]*.py")), ids=lambda path: path.stem)
+def test_that_a_tutorial_says_what_it_is_good_for_and_how_long_it_takes(path):
+    first = " ".join(line.lstrip("# ") for line in path.read_text().partition("# %%\n")[0].splitlines())
+    assert "You will be able to" in first
+    assert re.search(r"Takes [a-z ]+(seconds|minutes?|minute and a half)\b", first)

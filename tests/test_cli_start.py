@@ -1,0 +1,142 @@
+"""The command line before any work: help, version and mistakes answer without PyTorch; the demo; completion of commands."""
+
+import json
+import subprocess
+import sys
+from typing import get_args
+
+import pytest
+
+import imr_torch
+from imr_torch import example_gel
+from imr_torch.campaign import Journal, Optimal
+from imr_torch.characterization import EFFORTS, FRAMES
+from imr_torch.cli import demo, main, parser
+from imr_torch.cli.common import METHODS, SIMULATORS
+from imr_torch.cli.design import ESTIMATORS
+from imr_torch.cli.figures import FORMATS
+from imr_torch.cli.options import COMMANDS, names
+from imr_torch.design import STRATEGIES, Target
+from imr_torch.gap import MOST
+from imr_torch.material import CASES, MATERIALS
+from imr_torch.material.media import NAMED
+from imr_torch.population import SCALE
+from imr_torch.simulate import ENGINES
+
+HEAVY = ("torch", "numpy", "botorch", "matplotlib", "numba", "scipy")
+BUILT_IN = [name for name, kind in MATERIALS.items() if type(kind).__module__.startswith("imr_torch.")]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status"),
+    [
+        (["--help"], 0),
+        (["--version"], 0),
+        (["characterize", "--help"], 0),
+        (["chracterize"], 2),
+        (["design", "--targt", "x"], 2),
+    ],
+)
+def test_that_help_version_and_mistakes_import_nothing_heavy(arguments, status):
+    script = (
+        "import sys\nfrom imr_torch.cli import main\n"
+        f"try:\n    status = main({arguments!r})\nexcept SystemExit as stop:\n    status = stop.code\n"
+        f"print([name for name in {HEAVY!r} if name in sys.modules], status)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == f"[] {status}"
+
+
+def test_that_the_version_is_that_of_the_package(capsys):
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert capsys.readouterr().out == f"imr-torch {imr_torch.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        (names.MODELS, BUILT_IN),
+        (names.CASES, CASES),
+        (names.MEDIA, NAMED),
+        (names.PHYSICS, SIMULATORS),
+        (names.ENGINES, ENGINES),
+        (names.METHODS, METHODS),
+        (names.EFFORTS, EFFORTS),
+        (names.FRAMES, FRAMES),
+        (names.TARGETS, get_args(Target)),
+        (names.STRATEGIES, STRATEGIES),
+        (names.ESTIMATORS, ESTIMATORS),
+        (names.FORMATS, FORMATS),
+        ((names.SCATTER_SCALE, names.EVALUATIONS, names.EFFECTS_ADDED), (SCALE, Optimal.evaluations, MOST)),
+    ],
+)
+def test_that_names_written_out_for_help_are_those_of_the_registries(written, meant):
+    assert tuple(written) == tuple(meant)
+
+
+def test_that_every_subcommand_has_options_and_a_run():
+    for options in COMMANDS:
+        assert callable(__import__(f"imr_torch.cli.{options.NAME}", fromlist=["run"]).run)
+
+
+def test_that_public_names_of_the_package_are_what_their_modules_define():
+    assert imr_torch.characterize is sys.modules["imr_torch.characterization"].characterize
+    assert set(imr_torch.__all__) <= set(dir(imr_torch))
+    with pytest.raises(AttributeError, match="no attribute 'charcterize'"):
+        imr_torch.charcterize  # noqa: B018
+
+
+def test_that_the_demo_refuses_a_folder_with_files_and_keeps_them(tmp_path, capsys):
+    mine = tmp_path / "thesis.txt"
+    mine.write_text("years of work")
+    assert main(["demo", "--out", str(tmp_path)]) == 2
+    assert "--again" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+    assert mine.read_text() == "years of work"
+
+
+def test_that_the_demo_passes_options_on_resumes_and_keeps_other_files(tmp_path, monkeypatch, capsys):
+    ran = []
+    monkeypatch.setattr("imr_torch.cli.main", lambda command: ran.append(command) or 0)
+    out, kept = tmp_path / "first look", tmp_path / "first look" / "notes.txt"
+    args = parser().parse_args(["demo", "--out", str(out), "--threads", "1", "--quiet"])
+    demo.run(args)
+    assert [command[0] for command in ran] == ["characterize", "campaign"]
+    assert all(command[-5:] == ["--seed", "0", "--threads", "1", "--quiet"] for command in ran)
+    assert (out / "example_gel.csv").read_bytes() == example_gel().read_bytes()
+    assert "--resume" not in ran[1]
+    assert len(json.loads((out / "demo.json").read_text())["commands"]) == 2
+    kept.write_text("mine")
+    Journal(out / "campaign").append("begin")
+    args.again = True
+    demo.run(args)
+    assert "--resume" in ran[3]
+    assert kept.read_text() == "mine"
+    assert "gel.html" in capsys.readouterr().out
+
+
+def test_that_the_demo_says_which_command_failed(tmp_path, monkeypatch, capsys):
+    args = ["demo", "--out", str(tmp_path / "new"), "--quiet"]
+    monkeypatch.setattr("imr_torch.cli.main", lambda command: 1)
+    assert main(args) == 1
+    assert "ended at command 1 of 2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_that_the_completion_knows_commands_options_and_files(shell, capsys):
+    pytest.importorskip("shtab")
+    with pytest.raises(SystemExit) as stop:
+        main(["--print-completion", shell])
+    assert stop.value.code == 0
+    script = capsys.readouterr().out
+    assert "characterize" in script
+    assert "--population" in script
+
+
+def test_that_completion_without_its_package_says_what_to_install(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    with pytest.raises(SystemExit) as stop:
+        main(["--print-completion", "bash"])
+    assert stop.value.code == 2
+    assert "pip install shtab" in capsys.readouterr().err
