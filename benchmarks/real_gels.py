@@ -25,7 +25,7 @@ from real_data import REST, chosen_files, some
 
 from imr_torch import characterize, load_traces
 from imr_torch.assimilate import SearchOptions
-from imr_torch.characterize import medium_of
+from imr_torch.characterization import medium_of
 from imr_torch.errors import ImrError
 from imr_torch.gap import Ladder, diagnose, library, noise_of_traces
 from imr_torch.gap.document import ladder_document
