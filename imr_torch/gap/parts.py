@@ -27,7 +27,7 @@ from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
-MOST = 2
+MOST = 4
 """Effects that a ladder adds, at most."""
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed
 
