@@ -3,6 +3,7 @@
 from imr_torch.assimilate.bad_frames import BadFrame, BadFrames, find_bad_frames
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
+from imr_torch.assimilate.frame_jitter import FrameJitter, find_frame_jitter
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
 from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.assimilate.map_fit import assimilate
@@ -22,6 +23,7 @@ __all__ = [
     "Certificate",
     "En4DVarOptions",
     "FitOptions",
+    "FrameJitter",
     "ImportanceSample",
     "ModelFit",
     "Neighbourhood",
@@ -42,6 +44,7 @@ __all__ = [
     "assimilate_published",
     "ensemble_sensitivity",
     "find_bad_frames",
+    "find_frame_jitter",
     "noise_edges",
     "normal_equations",
     "profile",

@@ -126,7 +126,7 @@ class BadFrames:
 
 
 @dataclass(frozen=True)
-class _Field:
+class JointGaussian:
     """The joint Gaussian of all frames.
 
     Args:
@@ -141,14 +141,14 @@ class _Field:
     extra: Tensor
     slopes: Tensor
 
-    def with_bad(self, bad: Tensor, factor: float = 1.0) -> "_Field":
-        """With the extra error, times a factor, of some frames (``N`` booleans)."""
+    def with_bad(self, bad: Tensor, factor: float = 1.0, *, extra: Tensor | None = None) -> "JointGaussian":
+        """With the extra error (variances ``N``; that of a bad frame by default), times a factor, of some frames (booleans)."""
         at = torch.nonzero(bad)[:, 0]
         columns = self.precision[:, at]
-        inner = torch.diag(1.0 / (factor * self.extra[at])) + columns[at]
+        inner = torch.diag(1.0 / (factor * (self.extra if extra is None else extra)[at])) + columns[at]
         solved = torch.linalg.solve(inner, torch.cat((columns.mT, self.pull[at, None]), 1))
         pull = self.pull - columns @ solved[:, -1]
-        return _Field(self.precision - columns @ solved[:, :-1], pull, self.extra, self.slopes)
+        return JointGaussian(self.precision - columns @ solved[:, :-1], pull, self.extra, self.slopes)
 
     @property
     def deletion(self) -> tuple[Tensor, Tensor]:
@@ -161,6 +161,14 @@ class _Field:
         """Posterior mean ``d`` and covariance ``d x d`` of the whitened gel."""
         eye = torch.eye(self.slopes.shape[1], dtype=torch.float64)
         return self.slopes.mT @ self.pull, eye - self.slopes.mT @ self.precision @ self.slopes
+
+    def moved(self, fit: ModelFit, to: "JointGaussian") -> ModelBelief:
+        """A fit's reported posterior with the first-order change of mean and covariance from this Gaussian to another."""
+        (mean, covariance), (moved, wider) = self.gel, to.gel
+        before, after = (torch.linalg.cholesky(x) for x in (covariance, wider))
+        belief, prior = fit.posterior, fit.prior
+        chol = belief.chol @ torch.linalg.solve_triangular(before, after, upper=False)
+        return prior.with_gaussian(belief.mean + prior.chol @ (moved - mean), chol)
 
 
 def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> BadFrames:
@@ -197,7 +205,7 @@ def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator)
     near = Posterior(fit.prior, batch, simulator).neighbourhood(fit.point)
     if not bool(torch.isfinite(near.prediction).all()):
         return BadFrames(fit.model, (), reason=f"a bubble beside the fit of {fit.model} could not be simulated.")
-    whole = _field(fit, batch, near.centre, near.slopes)
+    whole = joint_gaussian(fit, batch, near.centre, near.slopes)
     bad, probability, size = _search(whole)
     if not bool(bad.any()):
         return BadFrames(fit.model, ())
@@ -223,11 +231,11 @@ def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator)
         )
     alone = torch.zeros_like(bad)
     alone[bad] = torch.tensor([frame.single for frame in frames])
-    without = _posterior(fit, whole, whole.with_bad(alone, _DELETED)) if bool(alone.any()) else None
+    without = whole.moved(fit, whole.with_bad(alone, _DELETED)) if bool(alone.any()) else None
     return BadFrames(fit.model, tuple(frames), without)
 
 
-def _field(fit: ModelFit, batch: ExperimentBatch, centre: Tensor, slopes: tuple[Tensor, Tensor]) -> _Field:
+def joint_gaussian(fit: ModelFit, batch: ExperimentBatch, centre: Tensor, slopes: tuple[Tensor, Tensor]) -> JointGaussian:
     """The joint Gaussian of all frames, linearised about a fit."""
     by_gel, by_nuisance = slopes
     count, frames = len(batch.experiments), batch.mask
@@ -244,7 +252,7 @@ def _field(fit: ModelFit, batch: ExperimentBatch, centre: Tensor, slopes: tuple[
     precision = root.mT @ root - explained @ torch.linalg.solve(hessian, explained.mT)
     observed = (batch.mean - centre)[frames] + columns @ point
     extra = (_EXTRA * sd / batch.counts.sqrt())[frames].square()
-    return _Field(precision, precision @ observed, extra, by_gel[frames])
+    return JointGaussian(precision, precision @ observed, extra, by_gel[frames])
 
 
 def _log_odds(error: Tensor, variance: Tensor, extra: Tensor, size: float) -> Tensor:
@@ -254,7 +262,7 @@ def _log_odds(error: Tensor, variance: Tensor, extra: Tensor, size: float) -> Te
     return likelihood + math.log(PRIOR / (1.0 - PRIOR))
 
 
-def _each_without_itself(whole: _Field, bad: Tensor) -> tuple[Tensor, Tensor]:
+def _each_without_itself(whole: JointGaussian, bad: Tensor) -> tuple[Tensor, Tensor]:
     """Deletion residuals and variances given the other bad frames, also of those that are bad."""
     error, variance = whole.with_bad(bad).deletion
     error, variance = error.clone(), variance.clone()
@@ -266,7 +274,7 @@ def _each_without_itself(whole: _Field, bad: Tensor) -> tuple[Tensor, Tensor]:
     return error, variance
 
 
-def _search(whole: _Field) -> tuple[Tensor, Tensor, float]:
+def _search(whole: JointGaussian) -> tuple[Tensor, Tensor, float]:
     """Which frames are bad, the probability of each, and the noise of the others over that of the fit."""
     bad = torch.zeros_like(whole.pull, dtype=torch.bool)
     error, variance = whole.deletion
@@ -297,12 +305,3 @@ def _in_run(bad: Tensor, frame: int) -> bool:
     while last + 1 < len(bad) and bool(bad[last + 1]):
         last += 1
     return last - first + 1 >= _RUN
-
-
-def _posterior(fit: ModelFit, whole: _Field, without: _Field) -> ModelBelief:
-    """The reported posterior with the first-order change of mean and covariance."""
-    (mean, covariance), (moved, wider) = whole.gel, without.gel
-    before, after = (torch.linalg.cholesky(x) for x in (covariance, wider))
-    belief, prior = fit.posterior, fit.prior
-    chol = belief.chol @ torch.linalg.solve_triangular(before, after, upper=False)
-    return prior.with_gaussian(belief.mean + prior.chol @ (moved - mean), chol)

@@ -1,0 +1,193 @@
+"""Jitter of frame times: how far each frame is from the time that its number says, by how much noisier fast frames are.
+
+A frame that is off by ``e`` in time is off by ``e dR*/dt*`` in radius, independently of its neighbours. The frames are a joint
+Gaussian, linearised about the fit, gel and nuisances integrated out (as for bad frames); jitter of standard deviation ``s``
+adds ``(s dR*/dt*)^2`` to their variances. The likelihood of ``s``, with the size of all other noise integrated over its
+Jeffreys prior, is exact for that Gaussian. Beside none, ``s`` has a half-normal prior of a tenth of a frame interval.
+
+What else errs where the bubble is fast looks alike: a model that misses the collapse, an exposure that blurs it. Those err
+smoothly along a curve and the same way in each, which jitter does not; a correlated noise law takes up most of that.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate.bad_frames import joint_gaussian
+from imr_torch.assimilate.fit import ModelFit
+from imr_torch.assimilate.posterior import Posterior
+from imr_torch.material import PARAMETERS, ModelBelief
+from imr_torch.observe import ExperimentBatch, predict
+from imr_torch.simulate import Simulator
+
+SCALE = 0.1
+"""Standard deviation of the half-normal prior of the jitter, in frame intervals."""
+FOUND = 3.0
+"""Nats of evidence over no jitter from which on it is reported as found."""
+
+_MOST = 2000  # frames in all; the time grows with their cube
+_SPAN = (1e-4, 1.0)  # of the grid, in frame intervals
+_GRID = 241
+_STEP = 1e-3  # t*, of the difference that gives dR*/dt*
+_LEVELS = (0.05, 0.5, 0.95)
+
+
+@dataclass(frozen=True)
+class FrameJitter:
+    """Jitter of frame times under one model.
+
+    Args:
+        model: key of the model.
+        sd: 5 %, 50 % and 95 % of its posterior standard deviation, t*; None where it was not tested.
+        evidence: log evidence of jitter over none, nats.
+        frame_interval: median over all curves, t*.
+        with_jitter: the posterior with jitter of the median size, to first order; None where none was found.
+        reason: why it was not tested.
+
+    >>> from imr_torch.assimilate import FrameJitter
+    >>> print(FrameJitter("nhkv", (0.003, 0.004, 0.005), 8.2, 0.04))
+    Frame times jitter by 0.0040 (0.0030-0.0050) in t*, 10 % of a frame interval (8.2 nats over none).
+    >>> print(FrameJitter("nhkv", (0.0, 0.001, 0.002), -1.1, 0.04))
+    No jitter of frame times is seen: less than 0.0020 in t*, 5 % of a frame interval.
+    """
+
+    model: str
+    sd: tuple[float, float, float] | None
+    evidence: float
+    frame_interval: float
+    with_jitter: ModelBelief | None = None
+    reason: str = ""
+
+    @property
+    def found(self) -> bool:
+        """Whether the evidence is enough to say so."""
+        return self.evidence > FOUND
+
+    def __str__(self) -> str:
+        if self.sd is None:
+            return f"Not tested whether frame times jitter: {self.reason}"
+        low, middle, high = self.sd
+        if not self.found:
+            share = high / self.frame_interval
+            return f"No jitter of frame times is seen: less than {high:.4f} in t*, {100 * share:.0f} % of a frame interval."
+        said = (
+            f"Frame times jitter by {middle:.4f} ({low:.4f}-{high:.4f}) in t*, {100 * middle / self.frame_interval:.0f} % of a "
+            f"frame interval ({self.evidence:.1f} nats over none)."
+        )
+        if self.with_jitter is None:
+            return said
+        rows = zip(self.with_jitter.names, self.with_jitter.quantile(_LEVELS).T.tolist(), strict=True)
+        return f"{said} With it, to first order: {'; '.join(f'{n} {PARAMETERS[n].interval(*q)}' for n, q in rows)}"
+
+    def to_dict(self) -> dict[str, object]:
+        """JSON-ready values."""
+        intervals = None
+        if self.with_jitter is not None:
+            intervals = dict(zip(self.with_jitter.names, self.with_jitter.quantile(_LEVELS).T.tolist(), strict=True))
+        return {
+            "model": self.model,
+            "sd": None if self.sd is None else list(self.sd),
+            "evidence": self.evidence,
+            "frame_interval": self.frame_interval,
+            "found": self.found,
+            "intervals_with": intervals,
+            "reason": self.reason,
+        }
+
+
+def find_frame_jitter(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> FrameJitter:
+    """Estimate how much frame times jitter, and the evidence that they do.
+
+    Args:
+        fit: a fit that has converged.
+        batch: its data and noise.
+        simulator: makes the bubbles; three bubbles, and one for each parameter and nuisance of every experiment.
+
+    Returns:
+        The jitter; untested, with the reason, where there are more than 2000 frames or a bubble fails.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.assimilate import SearchOptions, assimilate, find_frame_jitter
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> simulator, design = PolytropicSimulator(), torch.tensor([400.0, 0.22], dtype=torch.float64)
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=1)
+    >>> batch, options = ExperimentBatch((laboratory.shoot(design, seed=0),)), SearchOptions(scouts=16, starts=2)
+    >>> fit = assimilate(wide_prior(["nhkv"]), batch, simulator, seed=0, options=options)["nhkv"]
+    >>> find_frame_jitter(fit, batch, simulator).found
+    False
+    """
+    interval = float(torch.cat([e.times.diff() for e in batch.experiments]).median())
+    frames = int(batch.mask.sum())
+    if frames > _MOST:
+        reason = f"there are {frames} frames, and the test takes {_MOST} at most."
+        return FrameJitter(fit.model, None, 0.0, interval, reason=reason)
+    near = Posterior(fit.prior, batch, simulator).neighbourhood(fit.point)
+    speed = _speed(fit, batch, simulator)
+    if not bool(torch.isfinite(near.prediction).all() & torch.isfinite(speed[batch.mask]).all()):
+        reason = f"a bubble beside the fit of {fit.model} could not be simulated."
+        return FrameJitter(fit.model, None, 0.0, interval, reason=reason)
+    whole = joint_gaussian(fit, batch, near.centre, near.slopes)
+    by_time = (speed.abs() / batch.counts.sqrt())[batch.mask]  # what jitter of one t* adds to a mean of the repeats
+    observed = torch.linalg.solve(whole.precision, whole.pull)
+    free = frames - whole.slopes.shape[1] - int((batch.nuisance_sds > 0.0).sum())
+    jitter = _Jitter(by_time[:, None] * whole.precision * by_time, by_time * whole.pull, float(whole.pull @ observed), free)
+    sd, evidence = jitter.posterior(interval)
+    result = FrameJitter(fit.model, sd, evidence, interval)
+    if not result.found:
+        return result
+    changed = whole.with_bad(torch.ones(frames, dtype=torch.bool), 1.0, extra=(sd[1] * by_time).square().clamp_min(1e-20))
+    return FrameJitter(fit.model, sd, evidence, interval, whole.moved(fit, changed))
+
+
+def _speed(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Tensor:
+    """``E x T`` tensor: dR*/dt* at the frames."""
+    parameters, shifts = fit.parameters(fit.mean), fit.nuisances * batch.nuisance_sds
+    sides = [(batch.times + step).clamp_min(0.0) for step in (-_STEP, _STEP)]
+    before, after = (predict(simulator, parameters, batch, shifts, times=times) for times in sides)
+    return (after - before) / (sides[1] - sides[0]).clamp_min(1e-300)
+
+
+@dataclass(frozen=True)
+class _Jitter:
+    """The likelihood of jitter in closed form, by eigenvalues.
+
+    Args:
+        inner: ``N x N`` tensor, the precision of the frames scaled by what jitter of one t* adds to each.
+        pull: ``N`` tensor, precision times residual, scaled likewise.
+        square: squared residual without jitter, in standard deviations.
+        free: degrees of freedom.
+    """
+
+    inner: Tensor
+    pull: Tensor
+    square: float
+    free: int
+
+    def posterior(self, interval: float) -> tuple[tuple[float, float, float], float]:
+        """Quantiles of the jitter, t*, and its log evidence over none.
+
+        The grid is of jitter in proportion to the other noise, whose likeliest size beside it gives that of the jitter.
+        """
+        eigenvalues, vectors = torch.linalg.eigh(self.inner)
+        eigenvalues, pulled = eigenvalues.clamp_min(0.0), (vectors.mT @ self.pull).square()
+        ratio = interval * torch.logspace(math.log10(_SPAN[0]), math.log10(_SPAN[1]), _GRID, dtype=torch.float64)
+        grown = 1.0 + ratio[:, None].square() * eigenvalues
+        square = self.square - (ratio[:, None].square() * pulled / grown).sum(1)
+        log_likelihood = -0.5 * grown.log().sum(1) - 0.5 * self.free * (square / self.square).log()
+        sd = ratio * (square / self.free).sqrt()
+        z = sd / (SCALE * interval)
+        weight = 2.0 / (SCALE * interval * math.sqrt(2.0 * math.pi)) * torch.exp(-0.5 * z.square()) * _cells(sd)
+        joint = log_likelihood + weight.clamp_min(1e-300).log()
+        shares = torch.softmax(joint, 0).cumsum(0)
+        low, middle, high = (float(sd[int((shares < level).sum().clamp_max(_GRID - 1))]) for level in _LEVELS)
+        return (low, middle, high), float(torch.logsumexp(joint, 0))
+
+
+def _cells(values: Tensor) -> Tensor:
+    """Widths of the cells about increasing values, the first one from zero."""
+    edges = torch.cat((values.new_zeros(1), 0.5 * (values[1:] + values[:-1]), values[-1:]))
+    return edges.diff().clamp_min(0.0)
