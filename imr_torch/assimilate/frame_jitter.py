@@ -2,8 +2,9 @@
 
 A frame that is off by ``e`` in time is off by ``e dR*/dt*`` in radius, independently of its neighbours. The frames are a joint
 Gaussian, linearised about the fit, gel and nuisances integrated out (as for bad frames); jitter of standard deviation ``s``
-adds ``(s dR*/dt*)^2`` to their variances. The likelihood of ``s``, with the size of all other noise integrated over its
-Jeffreys prior, is exact for that Gaussian. Beside none, ``s`` has a half-normal prior of a tenth of a frame interval.
+adds ``(s dR*/dt*)^2`` to their variances, the slope averaged over as wide a time. The likelihood of ``s``, with the size of all
+other noise integrated over its Jeffreys prior, is exact for that Gaussian. Beside none, ``s`` has a half-normal prior of a tenth
+of a frame interval.
 
 What else errs where the bubble is fast looks alike: a model that misses the collapse, an exposure that blurs it. Those err
 smoothly along a curve and the same way in each, which jitter does not; a correlated noise law takes up most of that.
@@ -30,7 +31,8 @@ FOUND = 3.0
 _MOST = 2000  # frames in all; the time grows with their cube
 _SPAN = (1e-4, 1.0)  # of the grid, in frame intervals
 _GRID = 241
-_STEP = 1e-3  # t*, of the difference that gives dR*/dt*
+_STEP = 0.02  # frame intervals, of the first differences that give dR*/dt*
+_ROUNDS = 2  # the second with differences as wide as the jitter that the first found
 _LEVELS = (0.05, 0.5, 0.95)
 
 
@@ -103,7 +105,7 @@ def find_frame_jitter(fit: ModelFit, batch: ExperimentBatch, simulator: Simulato
     Args:
         fit: a fit that has converged.
         batch: its data and noise.
-        simulator: makes the bubbles; three bubbles, and one for each parameter and nuisance of every experiment.
+        simulator: makes the bubbles; five bubbles, and one for each parameter and nuisance of every experiment.
 
     Returns:
         The jitter; untested, with the reason, where there are more than 2000 frames or a bubble fails.
@@ -126,16 +128,17 @@ def find_frame_jitter(fit: ModelFit, batch: ExperimentBatch, simulator: Simulato
         reason = f"there are {frames} frames, and the test takes {_MOST} at most."
         return FrameJitter(fit.model, None, 0.0, interval, reason=reason)
     near = Posterior(fit.prior, batch, simulator).neighbourhood(fit.point)
-    speed = _speed(fit, batch, simulator)
-    if not bool(torch.isfinite(near.prediction).all() & torch.isfinite(speed[batch.mask]).all()):
-        reason = f"a bubble beside the fit of {fit.model} could not be simulated."
-        return FrameJitter(fit.model, None, 0.0, interval, reason=reason)
     whole = joint_gaussian(fit, batch, near.centre, near.slopes)
-    by_time = (speed.abs() / batch.counts.sqrt())[batch.mask]  # what jitter of one t* adds to a mean of the repeats
-    observed = torch.linalg.solve(whole.precision, whole.pull)
+    square = float(whole.pull @ torch.linalg.solve(whole.precision, whole.pull))
     free = frames - whole.slopes.shape[1] - int((batch.nuisance_sds > 0.0).sum())
-    jitter = _Jitter(by_time[:, None] * whole.precision * by_time, by_time * whole.pull, float(whole.pull @ observed), free)
-    sd, evidence = jitter.posterior(interval)
+    sd, evidence = (0.0, _STEP * interval, 0.0), 0.0
+    for _ in range(_ROUNDS):
+        by_time = (_change(fit, batch, near.centre, simulator, sd[1]) / (sd[1] * batch.counts.sqrt()))[batch.mask]
+        if not bool(torch.isfinite(near.prediction).all() & torch.isfinite(by_time).all()):
+            reason = f"a bubble beside the fit of {fit.model} could not be simulated."
+            return FrameJitter(fit.model, None, 0.0, interval, reason=reason)
+        jitter = _Jitter(by_time[:, None] * whole.precision * by_time, by_time * whole.pull, square, free)
+        sd, evidence = jitter.posterior(interval)
     result = FrameJitter(fit.model, sd, evidence, interval)
     if not result.found:
         return result
@@ -143,12 +146,11 @@ def find_frame_jitter(fit: ModelFit, batch: ExperimentBatch, simulator: Simulato
     return FrameJitter(fit.model, sd, evidence, interval, whole.moved(fit, changed))
 
 
-def _speed(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Tensor:
-    """``E x T`` tensor: dR*/dt* at the frames."""
+def _change(fit: ModelFit, batch: ExperimentBatch, centre: Tensor, simulator: Simulator, sd: float) -> Tensor:
+    """``E x T`` tensor: root mean square change of R* by jitter, from three nodes of Gauss-Hermite quadrature."""
     parameters, shifts = fit.parameters(fit.mean), fit.nuisances * batch.nuisance_sds
-    sides = [(batch.times + step).clamp_min(0.0) for step in (-_STEP, _STEP)]
-    before, after = (predict(simulator, parameters, batch, shifts, times=times) for times in sides)
-    return (after - before) / (sides[1] - sides[0]).clamp_min(1e-300)
+    sides = [(batch.times + side * math.sqrt(3.0) * sd).clamp_min(0.0) for side in (-1.0, 1.0)]
+    return sum((predict(simulator, parameters, batch, shifts, times=t) - centre).square() / 6.0 for t in sides).sqrt()
 
 
 @dataclass(frozen=True)
