@@ -3,8 +3,8 @@
 A frame that is off by ``e`` in time is off by ``e dR*/dt*`` in radius, independently of its neighbours. The frames are a joint
 Gaussian, linearised about the fit, gel and nuisances integrated out (as for bad frames); jitter of standard deviation ``s``
 adds ``(s dR*/dt*)^2`` to their variances, the slope averaged over as wide a time. The likelihood of ``s``, with the size of all
-other noise integrated over its Jeffreys prior, is exact for that Gaussian. Beside none, ``s`` has a half-normal prior of a tenth
-of a frame interval.
+other noise integrated over its Jeffreys prior, is exact for that Gaussian; ``s`` has a half-normal prior of a tenth of a frame
+interval.
 
 What else errs where the bubble is fast looks alike: a model that misses the collapse, an exposure that blurs it. Those err
 smoothly along a curve and the same way in each, which jitter does not; a correlated noise law takes up most of that.
@@ -131,7 +131,7 @@ def find_frame_jitter(fit: ModelFit, batch: ExperimentBatch, simulator: Simulato
     whole = joint_gaussian(fit, batch, near.centre, near.slopes)
     square = float(whole.pull @ torch.linalg.solve(whole.precision, whole.pull))
     free = frames - whole.slopes.shape[1] - int((batch.nuisance_sds > 0.0).sum())
-    sd, evidence = (0.0, _STEP * interval, 0.0), 0.0
+    sd, evidence, by_time = (0.0, _STEP * interval, 0.0), 0.0, whole.pull
     for _ in range(_ROUNDS):
         by_time = (_change(fit, batch, near.centre, simulator, sd[1]) / (sd[1] * batch.counts.sqrt()))[batch.mask]
         if not bool(torch.isfinite(near.prediction).all() & torch.isfinite(by_time).all()):
@@ -150,7 +150,8 @@ def _change(fit: ModelFit, batch: ExperimentBatch, centre: Tensor, simulator: Si
     """``E x T`` tensor: root mean square change of R* by jitter, from three nodes of Gauss-Hermite quadrature."""
     parameters, shifts = fit.parameters(fit.mean), fit.nuisances * batch.nuisance_sds
     sides = [(batch.times + side * math.sqrt(3.0) * sd).clamp_min(0.0) for side in (-1.0, 1.0)]
-    return sum((predict(simulator, parameters, batch, shifts, times=t) - centre).square() / 6.0 for t in sides).sqrt()
+    moved = torch.stack([predict(simulator, parameters, batch, shifts, times=times) for times in sides])
+    return ((moved - centre).square().sum(0) / 6.0).sqrt()
 
 
 @dataclass(frozen=True)
