@@ -36,7 +36,7 @@ from unittest import mock
 import numpy as np
 import torch
 
-import imr_torch.characterization
+import imr_torch.characterization.infer
 import imr_torch.cli.design
 import imr_torch.cli.diagnose  # noqa: F401  (all three are patched below)
 from imr_torch import example_gel
@@ -103,7 +103,9 @@ def without_fits() -> Iterator[None]:
     """Every fit and search ends with :class:`Reached`."""
     with contextlib.ExitStack() as stack:
         modules = sys.modules
-        stack.enter_context(mock.patch.object(modules["imr_torch.characterization"], "assimilate_estimating_noise", _stop))
+        stack.enter_context(
+            mock.patch.object(modules["imr_torch.characterization.infer"], "assimilate_estimating_noise", _stop)
+        )
         stack.enter_context(mock.patch.object(modules["imr_torch.cli.diagnose"], "diagnose", _stop))
         stack.enter_context(mock.patch.object(modules["imr_torch.cli.design"], "search_design", _stop))
         stack.enter_context(mock.patch.object(Campaign, "learn", _stop))
