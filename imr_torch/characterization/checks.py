@@ -41,3 +41,12 @@ def check_population(prior: Belief) -> None:
             f"{large.model} has {len(large.names)} free parameters, and at most {MOST} can differ between shots; leave the "
             "model out, or give some of them as known."
         )
+
+
+def check_profile(prior: Belief) -> None:
+    """Raise unless some model has two free parameters, since with one the posterior is the profile."""
+    if all(len(part.names) == 1 for part in prior.models):
+        raise InputDataError(
+            f"A profile likelihood needs a model with two free parameters or more, and {', '.join(prior.keys)} has one, whose "
+            "posterior says the same; ask for no profile, or for a model with more."
+        )

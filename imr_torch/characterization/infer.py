@@ -25,9 +25,10 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.assimilate.noise_estimation import determines_noise
-from imr_torch.characterization.checks import check_choices, check_data, check_population
+from imr_torch.characterization.checks import check_choices, check_data, check_population, check_profile
 from imr_torch.characterization.effort import EFFORTS
 from imr_torch.characterization.medium import medium_of
+from imr_torch.characterization.profiles import profiles_of
 from imr_torch.characterization.result import Characterization
 from imr_torch.gap import FitTest, check_fit, medium_sensitivities
 from imr_torch.material import Belief, wide_prior
@@ -69,6 +70,7 @@ def characterize(
     shots: Sequence[CollapseShot] = (),
     frames: str = "all",
     population: bool = False,
+    profile: bool = False,
     scatter_scale: float = SCALE,
     seed: int = 0,
     progress: Progress | None = None,
@@ -103,11 +105,14 @@ def characterize(
         population: whether each curve is also fitted by itself, under the most probable model, and how much the gel differs
             between them is inferred (:mod:`imr_torch.population`).
         scatter_scale: of the half-normal prior of the scatters between curves.
+        profile: whether the profile likelihood of each parameter is made too (:func:`imr_torch.assimilate.profile`), for models
+            with .05 of the probability or more: it says whether the data bound a parameter at all.
         seed: of everything random.
         progress: called with one line per step.
 
     Raises:
-        InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, or for scores or a population of only one.
+        InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, for scores or a population of only one, or for
+            profiles of models with one parameter.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -138,6 +143,8 @@ def characterize(
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     medium = medium_of(traces, medium, simulator.conditions.surroundings, shots)
     simulator, prior = medium.applied(simulator), medium.believed(prior)
+    if profile:
+        check_profile(prior)
     surroundings = simulator.conditions.surroundings
     prepared = prepare(traces, surroundings, collapses=collapses, rest_radius=rest_radius)
     data = (*prepared.experiments, *(shot.to_experiment(surroundings) for shot in shots))
@@ -169,9 +176,10 @@ def characterize(
         for trace, experiment in zip(traces, prepared.experiments, strict=True)
     )
     moved = medium_sensitivities(weighed[posterior.best.model], weighed.batch, simulator, medium)
+    followed = profiles_of(weighed, posterior, simulator, seed=child(seed, "profile"), progress=progress) if profile else None
     seconds = time.process_time() - started
     return Characterization(
-        prepared, weighed, evidence, posterior, seconds, scored, used, tested, medium, moved, bad, left_out, gels
+        prepared, weighed, evidence, posterior, seconds, scored, used, tested, medium, moved, bad, left_out, gels, followed
     )
 
 

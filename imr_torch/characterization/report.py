@@ -7,8 +7,9 @@ from imr_torch.assimilate import ModelFit, Verdict
 from imr_torch.characterization.bands import intervals
 from imr_torch.characterization.collapse import patterns
 from imr_torch.characterization.effort import EFFORTS
+from imr_torch.material import PARAMETERS
 from imr_torch.observe import CollapseTime
-from imr_torch.select import Bound, identifiability, probability_errors
+from imr_torch.select import Bound, probability_errors
 
 if TYPE_CHECKING:
     from imr_torch.characterization.result import Characterization
@@ -39,7 +40,7 @@ def report_lines(result: "Characterization", command: str) -> list[str]:
             f"\n{fit.prior.material.title:10s} probability {result.posterior.probabilities[fit.model]:.3f} "
             f"+- {errors[fit.model]:.3f}, RMSE {result.assimilation.rmse(fit.model):.4f} in {unit}"
         )
-        for found in identifiability(fit.prior, fit.posterior):
+        for found in result.identifiability(fit):
             parameter = found.parameter
             if result.medium is not None and parameter.name in result.medium.priors:
                 continue  # said with the medium, in its units
@@ -47,6 +48,7 @@ def report_lines(result: "Characterization", command: str) -> list[str]:
             said_unit = parameter.display_unit or ("" if parameter.unit == "1" else parameter.unit)
             said = "" if found.bound is Bound.BOTH else f"; {found.words}"
             lines.append(f"  {parameter.name:6s} {middle:10.4g} {said_unit:5s} (90 %: {low:.4g} to {high:.4g}){said}")
+        lines += _profile_lines(result, fit)
         lines += [f"  {fit.certificate}", f"  {fit.trust}{_advice(result, fit)}"]
     if len(result.experiments) > 1:
         worst = sorted(result.assimilation.rmse_by_experiment(order[0].model).items(), key=lambda item: -item[1])
@@ -61,6 +63,22 @@ def report_lines(result: "Characterization", command: str) -> list[str]:
         ]
     if result.population is not None:
         lines.append(f"\n{result.population.report()}")
+    return lines
+
+
+def _profile_lines(result: "Characterization", fit: ModelFit) -> list[str]:
+    """The 95 % interval of each profile likelihood of a model, and how many of its fits have not converged."""
+    profiles = (result.profiles or {}).get(fit.model)
+    if profiles is None:
+        return []
+    if not profiles:
+        return ["  profile likelihood: the model has one free parameter, so its posterior says the same"]
+    lines = []
+    for own in profiles:
+        parameter, loose = PARAMETERS[own.name], own.converged.count(False)
+        ends = ["open" if x is None else f"{parameter.display_scale * x:.4g}" for x in own.limits]
+        doubt = f"; {loose} of its {len(own.converged)} fits have not converged" if loose else ""
+        lines.append(f"  profile likelihood of {own.name}, 95 %: {ends[0]} to {ends[1]} (bounded {own.bounded}){doubt}")
     return lines
 
 

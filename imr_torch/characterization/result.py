@@ -1,13 +1,15 @@
 """What was inferred about one gel: parameters, model probabilities and fits, as a JSON document, a table and a report."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imr_torch.assimilate import Assimilation, BadFrame, BadFrames, NoiseEdge, noise_edges
+from imr_torch.assimilate import Assimilation, BadFrame, BadFrames, ModelFit, NoiseEdge, Profile, noise_edges
 from imr_torch.characterization.bands import intervals
 from imr_torch.characterization.collapse import collapse_rows, patterns
 from imr_torch.characterization.medium import medium_document
+from imr_torch.characterization.profiles import profiles_document
 from imr_torch.characterization.report import report_lines
 from imr_torch.files import write_json
 from imr_torch.gap import FitTest, MediumSensitivity
@@ -16,7 +18,7 @@ from imr_torch.observe import Experiment, GelMedium, Landmarks, Noise, Prepared
 from imr_torch.observe.frames import FrameUse
 from imr_torch.population import Population
 from imr_torch.saved import SavedCharacterization, draws_to_dict
-from imr_torch.select import Evidence, PredictiveScore, identifiability
+from imr_torch.select import Evidence, Identifiability, PredictiveScore, identifiability
 from imr_torch.units import Surroundings
 
 if TYPE_CHECKING:
@@ -41,6 +43,8 @@ class Characterization:
         bad_frames: single frames that look bad under the most probable model; None where that was not asked for.
         left_out: bad frames that were left out of the fit, in the order in which they were found.
         population: how much the gel differs between curves, under the most probable model; None where not asked for.
+        profiles: model key -> the profile likelihoods of its parameters, of models with .05 of the probability or more, at the
+            estimated noise; None where not asked for.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -76,6 +80,7 @@ class Characterization:
     bad_frames: BadFrames | None = None
     left_out: tuple[BadFrame, ...] = ()
     population: Population | None = None
+    profiles: Mapping[str, tuple[Profile, ...]] | None = None
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -112,6 +117,10 @@ class Characterization:
         edges = (str(edge) for edge in self.noise_edges if edge.remedy)
         return (*self.prepared.cautions, *edges, *patterns(self.collapse_times()))
 
+    def identifiability(self, fit: ModelFit) -> tuple[Identifiability, ...]:
+        """What the data say of each parameter of a model: from its profile where that was made, else from its posterior."""
+        return identifiability(fit.prior, fit.posterior, (self.profiles or {}).get(fit.model, ()))
+
     def to_dict(self) -> dict[str, object]:
         """JSON-ready summary: intervals in SI units, probabilities, residuals, certificates."""
         models = {}
@@ -119,7 +128,7 @@ class Characterization:
             certificate = vars(fit.certificate) | {"agreement": min(fit.certificate.agreement, 1e300)}
             models[fit.model] = {
                 "intervals": intervals(fit.posterior),
-                "identifiability": {f.parameter.name: f.words for f in identifiability(fit.prior, fit.posterior)},
+                "identifiability": {f.parameter.name: f.words for f in self.identifiability(fit)},
                 "rmse": self.assimilation.rmse(fit.model),
                 "rmse_by_experiment": self.assimilation.rmse_by_experiment(fit.model),
                 "log_evidence": evidence.value,
@@ -147,6 +156,7 @@ class Characterization:
             "frames_left_out": [vars(frame) for frame in self.left_out],
             "fit_test": None if self.fit_test is None else self.fit_test.to_dict(),
             "population": None if self.population is None else self.population.to_dict(),
+            "profiles": profiles_document(self.profiles),
             "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),
             "weighed_draws": draws_to_dict(self.assimilation),

@@ -115,6 +115,7 @@ def _characterize(
     """Fit some curves together and print the result: its document, the report, and whether all fits have converged."""
     simulator, rounds = simulator_of(args), NOISE_ROUNDS if args.noise == "estimated" else 0
     rest_radius = rest_radius_of(args)
+    stages = characterize_stages(rounds, scores=args.scores, population=args.population, profile=args.profile)
     simulator, prior, medium = with_medium(args, simulator, prior_of(args), traces, shots)
     prepared = prepare(traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius)
     if len(traces):
@@ -134,8 +135,9 @@ def _characterize(
         frames=args.frames,
         population=args.population,
         scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
+        profile=args.profile,
         seed=args.seed,
-        progress=progress_of(args, characterize_stages(rounds, scores=args.scores, population=args.population), label),
+        progress=progress_of(args, stages, label),
     )
     command = diagnose_command(args, result.posterior.best)
     said = result.report(command)
