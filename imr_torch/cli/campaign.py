@@ -142,6 +142,8 @@ def _check_goal(args: argparse.Namespace) -> None:
         for option in ("effects", "hide"):
             if getattr(args, option) is not None:
                 raise InputDataError(f"--{option} has no effect without --goal cause.")
+        if any(part.strip().startswith("cause=") for text in args.stop for part in text.split(",")):
+            raise InputDataError(f"--stop is {' '.join(args.stop)!r}: cause= has no effect without --goal cause.")
         return
     if args.q != 1:
         raise InputDataError(

@@ -3,6 +3,7 @@
 import argparse
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,8 @@ def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]
     for option in ("each", "scores", "population") if shots else ():
         if getattr(args, option):
             raise InputDataError(f"--{option} is about curves, and {tables[0]} holds collapse times; leave one of them out.")
+    if not curves:
+        _check_no_curves(args, tables)
     traces = load_traces(*curves, layout=layout_of(args)) if curves else TraceSet(())
     double = {trace.experiment_id for trace in traces} & {shot.experiment_id for shot in shots}
     if double:
@@ -80,6 +83,18 @@ def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]
     of_curves = [name for name in wanted if name not in known]
     chosen = traces.select(of_curves) if of_curves else TraceSet(())
     return chosen, tuple(shot for shot in shots if shot.experiment_id in wanted)
+
+
+def _check_no_curves(args: argparse.Namespace, tables: Sequence[Path]) -> None:
+    """Refuse options about curves where there are collapse times alone."""
+    for option, given in (
+        ("layout", args.layout is not None),
+        ("rest-radius", args.rest_radius is not None),
+        ("collapses", args.collapses != COLLAPSES),
+        ("frames", args.frames != "all"),
+    ):
+        if given:
+            raise InputDataError(f"--{option} is about curves, and {tables[0]} holds collapse times alone; leave it out.")
 
 
 def _each(traces: TraceSet, args: argparse.Namespace) -> None:
