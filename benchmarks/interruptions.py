@@ -34,6 +34,7 @@ from imr_torch import example_gel
 from imr_torch.assimilate import SearchOptions
 from imr_torch.cli import campaign as command
 from imr_torch.cli import main
+from imr_torch.cli.common import METHODS
 from imr_torch.files import write_json
 
 WATCHED = ("journal", ".journal", "experiment_", ".experiment_", "campaign.json", ".campaign.json")
@@ -252,7 +253,7 @@ class RealCampaign:
         arguments = self.arguments(out, number, resume=resume, tell=tell)
 
         def act() -> int:
-            with mock.patch.object(command, "_figures"), mock.patch.dict(command.METHODS, {"map": QUICK}):
+            with mock.patch.object(command, "_figures"), mock.patch.dict(METHODS, {"map": QUICK}):
                 return main(arguments)
 
         return act

@@ -17,7 +17,7 @@ from typing import Any, TextIO
 
 _EVERY, _LOG_EVERY = 0.5, 30.0  # seconds between lines on a terminal, and in a log
 _EARLY = 0.1  # part of the work before which no time left is said
-_LONGEST = 110
+_LONGEST = 140
 _OF = re.compile(r"(\d+)\s*/\s*(\d+)")
 _STEP = re.compile(r"(cycle \d+, )?(iteration|round) \d+")
 

@@ -288,7 +288,7 @@ def _autocorrelation(rows: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], 
     ax.plot(lags, values, ".", color=MODEL, ms=6, label="residuals")
     if memory > 0.0:
         step = float(np.median(np.concatenate([np.diff(t) for t, _, _ in rows])))
-        assumed = f"noise law, {memory:g} in $t^*$"
+        assumed = f"noise law, {memory:.3g} in $t^*$"
         ax.plot(lags, np.exp(-lags * step / memory), color=TRUTH, ls="--", lw=1.2, label=assumed)
     ax.set(xlabel="lag (frames)", ylabel="autocorrelation", ylim=(-1.0, 1.05))
     ax.legend(frameon=False, fontsize=7)

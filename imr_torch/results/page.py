@@ -139,7 +139,7 @@ def setting_rows(document: Mapping[str, Any], best: str) -> list[tuple[str, str]
     rows = [("Bubble", _PHYSICS.get(document.get("physics", ""), "as the simulator that was given makes it"))]
     if document.get("curves") or not document.get("collapse_times"):
         said = f"{noise['scale']:.2f} x the published law with {noise['scale'] * noise['floor']:.4f} in R* everywhere, "
-        said += f"correlated over {noise['correlation_time']:g} in t*" if noise["correlation_time"] else "independent frames"
+        said += f"correlated over {noise['correlation_time']:.3g} in t*" if noise["correlation_time"] else "independent frames"
         rows += [("Noise", said), *_noise_rows(document)]
     known = next((part.get("known") for part in document["belief"]["models"] if part.get("model") == best), None)
     if known:

@@ -117,8 +117,9 @@ def profile_block(document: Mapping[str, Any]) -> tuple[str | Table, ...]:
         for name, entry in found.items():
             loose += entry["converged"].count(False)
             posterior = PARAMETERS[name].interval(*document["models"][key]["intervals"][name])
-            words = document["models"][key]["identifiability"][name]
-            rows.append((title, name, posterior, _interval(name, entry["limits_95"]), words))
+            shown = name if len(document["profiles"]) == 1 else f"{title}: {name}"
+            flat = ": flat" * (entry["limits_95"] == [None, None])
+            rows.append((shown, posterior, _interval(name, entry["limits_95"]), entry["bounded"] + flat))
     lines = [
         "Each parameter is held at values on both sides of its most probable one, and all others, Rmax, time zero and R_inf "
         "are fitted again; the noise is the estimated one. The 95 % interval of the profile holds the values at which the fit "
@@ -129,7 +130,7 @@ def profile_block(document: Mapping[str, Any]) -> tuple[str | Table, ...]:
         lines.append(
             f"{loose} of these fits have not converged (hollow in the figure), so that they may lose less than is drawn."
         )
-    heads = ("model", "parameter", "posterior", "profile, 95 %", "what the data say")
+    heads = ("parameter", "posterior", "profile, 95 %", "bounded by the data")
     return (*lines, Table(tuple(rows), heads)) if rows else tuple(lines)
 
 
