@@ -1,6 +1,7 @@
 """What kills, full disks and interruptions leave of a campaign: is the resumed journal the uninterrupted one, byte for byte?
 
-  python benchmarks/interruptions.py [--data CSV] [--experiments a,b,c] [--every 1] [--random 40] [--json OUT]
+  python benchmarks/interruptions.py [--data CSV] [--experiments a,b,c] [--goal gel]
+      [--every 1] [--random 40] [--json OUT]
 
 Commands of a real campaign (what to shoot first; then a curve told at a time) run in processes of their own, which are
 - killed (SIGKILL) before and in the middle of every operation on the journal, its curves and the result: writes of half the
@@ -33,10 +34,12 @@ from imr_torch import example_gel
 from imr_torch.assimilate import SearchOptions
 from imr_torch.cli import campaign as command
 from imr_torch.cli import main
+from imr_torch.cli.common import METHODS
 from imr_torch.files import write_json
 
 WATCHED = ("journal", ".journal", "experiment_", ".experiment_", "campaign.json", ".campaign.json")
 OPTIONS = shlex.split("--models nhkv --policy space-filling --repeats 1 --physics polytropic --threads 1 --quiet")
+CAUSE = shlex.split("--goal cause --effects sound_speed,surface_tension")  # what a campaign for the cause of a gap adds
 QUICK = SearchOptions(scouts=12, starts=2)
 EXAMPLE = example_gel()
 
@@ -229,16 +232,17 @@ class RealCampaign:
     Args:
         folder: for everything.
         curves: files of one experiment each.
+        options: of every command.
     """
 
-    def __init__(self, folder: Path, curves: Sequence[Path]) -> None:
-        self.folder, self.curves = folder, curves
+    def __init__(self, folder: Path, curves: Sequence[Path], options: Sequence[str] = OPTIONS) -> None:
+        self.folder, self.curves, self.options = folder, curves, options
         self.seconds: list[float] = []
 
     def arguments(self, out: Path, number: int, *, resume: bool, tell: bool = True) -> list[str]:
         """Command ``number``: 0 asks, n tells the n-th curve."""
         told = ["--rest-radius", "0.2:0.05", "--tell", str(self.curves[number - 1])] if number and tell else []
-        return ["campaign", *OPTIONS, "--out", str(out), *(["--resume"] if resume else []), *told]
+        return ["campaign", *self.options, "--out", str(out), *(["--resume"] if resume else []), *told]
 
     def whole(self, number: int) -> Path:
         """The folder after an uninterrupted command."""
@@ -249,7 +253,7 @@ class RealCampaign:
         arguments = self.arguments(out, number, resume=resume, tell=tell)
 
         def act() -> int:
-            with mock.patch.object(command, "_figures"), mock.patch.dict(command.METHODS, {"map": QUICK}):
+            with mock.patch.object(command, "_figures"), mock.patch.dict(METHODS, {"map": QUICK}):
                 return main(arguments)
 
         return act
@@ -328,13 +332,15 @@ def start() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=EXAMPLE)
     parser.add_argument("--experiments", default="shot_1,shot_2,shot_3")
+    parser.add_argument("--goal", choices=("gel", "cause"), default="gel", help="of the campaign (default gel)")
     parser.add_argument("--every", type=int, default=1, help="operations from one that is failed to the next, 0 for none")
     parser.add_argument("--random", type=int, default=40, help="attempts to interrupt at random times, of each kind")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         curves = split(args.data, args.experiments.split(","), Path(folder))
-        found = run(RealCampaign(Path(folder), curves), args.every, args.random, lambda text: print(text, flush=True))
+        real = RealCampaign(Path(folder), curves, [*OPTIONS, *(CAUSE if args.goal == "cause" else [])])
+        found = run(real, args.every, args.random, lambda text: print(text, flush=True))
     for name, tally in found.items():
         print(f"{name}: {tally.same} of {tally.tried} resumed to the same journal")
         for problem in tally.problems[:5]:

@@ -11,7 +11,7 @@ from benchmarks.interruptions import Disk
 from imr_torch import example_gel
 from imr_torch.campaign import Journal
 from imr_torch.cli import COMMANDS, main, parser
-from imr_torch.cli.campaign import settings_of
+from imr_torch.cli.campaign_settings import settings_of
 from imr_torch.cli.common import simulator_of
 from imr_torch.cli.design import plan_of
 from imr_torch.material import PARAMETERS, wide_prior

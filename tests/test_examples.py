@@ -74,7 +74,7 @@ def test_that_the_public_objects_are_looked_at() -> None:
     names = public_objects()
     assert len(names) > 150
     assert {
-        "imr_torch.characterization.characterize",
+        "imr_torch.characterization.infer.characterize",
         "imr_torch.units.Surroundings",
         "imr_torch.gap.diagnose.diagnose",
     } <= set(names)

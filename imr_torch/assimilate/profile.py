@@ -7,6 +7,7 @@ Raue et al., Bioinformatics 25, 2009). A profile that does not rise on one side 
 there, which an interval of the posterior hides behind its prior.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -124,6 +125,8 @@ def _profile(
             if abs(own - centre) > _FARTHEST * width:
                 break
             last = _held(last, fit, i, at, own, batch, simulator, child(seed, "profile", name, str(side), str(step)))
+            if not math.isfinite(last.cost):  # no bubble could be made there
+                break
             at, found[own] = own, (last.cost, last.certificate.converged)
             lowest = min(cost for cost, _ in found.values())
             if progress:
@@ -151,7 +154,7 @@ def _held(
     part = _without(fit.prior, i, value)
     rest = [j for j in range(len(fit.prior.names)) if j != i]
     controls = last.prior.unwhitened(last.mean)
-    if last is fit:  # along the valley of the posterior
+    if last is fit:  # along the ridge of the posterior
         posterior = fit.posterior
         covariance = posterior.chol @ posterior.chol.mT
         controls = controls[rest] + covariance[rest, i] / covariance[i, i] * (value - before)

@@ -1,8 +1,9 @@
 """Stage 7, campaigns: sequences of choosing a design, measuring and inference, recorded in a journal."""
 
+from imr_torch.campaign.history import Step
 from imr_torch.campaign.journal import Journal
 from imr_torch.campaign.learners import ExactLearner, Finding, Inference, Learner, Observations, PaperLearner
-from imr_torch.campaign.loop import Campaign, Step
+from imr_torch.campaign.loop import Campaign
 from imr_torch.campaign.policies import (
     PAPER_OPTIMAL,
     DesignPolicy,

@@ -1,13 +1,16 @@
-"""Whether a curve can be simulated under a belief, asked before it enters a journal.
+"""Whether a curve is new and can be simulated under a belief, asked before it enters a journal.
 
 A curve whose times or size are in another unit is found by the bubbles of the belief: they fail, or collapse at another time
 than the curve does by orders of magnitude.
 """
 
 import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import torch
 
+from imr_torch.campaign.journal import curve_hash
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, collapse_time, predict
@@ -51,3 +54,32 @@ def check_simulated(belief: Belief, experiment: Experiment, simulator: Simulator
         f"{name} at (We, R_inf*) = ({weber:g}, {rest:g}) and times up to {last:.3g} cannot be simulated: all {_DRAWS} gels "
         f"drawn of each of {', '.join(belief.keys)} failed. Check Rmax, R_inf and the units of the file; nothing was recorded."
     )
+
+
+def check_new(
+    experiments: Sequence[Experiment], known: Mapping[str, tuple[int, str]], outstanding: Sequence[int], journal: Path
+) -> None:
+    """Raise if a curve was told before, or is given twice.
+
+    Args:
+        experiments: to be told.
+        known: number and label of each experiment that was told, by the hash of its curve.
+        outstanding: numbers of those that were told and not learnt yet.
+        journal: where they are, for the message.
+    """
+    given: dict[str, str] = {}
+    for experiment in experiments:
+        curve = curve_hash(experiment)
+        if curve in known:
+            number, label = known[curve]
+            waiting = " It was not learnt yet; resuming without telling it again does so." * (number in outstanding)
+            raise InputDataError(
+                f"Experiment {experiment.label!r} has the curve of experiment {number} ({label!r}), which is in "
+                f"{journal} already; each curve counts once.{waiting} Tell only new curves; to replace this one, "
+                f"forget it first: Campaign.forget({number}), imr-torch campaign --resume --forget {number}."
+            )
+        if curve in given:
+            raise InputDataError(
+                f"Experiments {given[curve]!r} and {experiment.label!r} have the same curve, which counts once: omit one."
+            )
+        given[curve] = experiment.label

@@ -8,9 +8,8 @@ stopped, with the same numbers bit for bit on one machine, on any number of work
 Experiments are numbered in the order in which they were told, and a number is not used again when an experiment is forgotten.
 """
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -18,47 +17,19 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation
-from imr_torch.campaign.admission import check_simulated
-from imr_torch.campaign.journal import Journal, curve_hash, differing
-from imr_torch.campaign.learners import Finding, Observations, finite
+from imr_torch.campaign.admission import check_new, check_simulated
+from imr_torch.campaign.history import Step, check_identity, replayed
+from imr_torch.campaign.journal import Journal, curve_hash
+from imr_torch.campaign.learners import Observations, finite
 from imr_torch.campaign.policies import Proposal, Situation
 from imr_torch.campaign.settings import CampaignSettings, through_json
 from imr_torch.campaign.stopping import Standing
 from imr_torch.design import DesignSearch, Plan
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.material import Belief
-from imr_torch.observe import Experiment, ExperimentBatch, Noise, collapse_time
-from imr_torch.select import Evidence
+from imr_torch.observe import Experiment, ExperimentBatch, collapse_time
 from imr_torch.simulate import Simulator, described
 from imr_torch.types import Progress
-
-
-@dataclass(frozen=True)
-class Step:
-    """The state after one experiment: belief, evidence and fits.
-
-    Args:
-        number: of the last experiment that it includes, from 1.
-        belief: after this experiment.
-        evidence: evidence of each model, all experiments together; empty if the learner knows none.
-        assimilation: the fits; None when the step was read back from the journal, or the learner makes none.
-        noise: of one curve, if the learner estimates it.
-        finding: of the diagnosis, if the learner makes one.
-
-    >>> from imr_torch import wide_prior
-    >>> from imr_torch.campaign import Step
-    >>> step = Step(1, wide_prior(["nhkv"]), evidence=())
-    >>> step.number, step.belief.keys
-    (1, ('nhkv',))
-    """
-
-    number: int
-    belief: Belief
-    evidence: tuple[Evidence, ...]
-    assimilation: Assimilation | None = None
-    noise: Noise | None = None
-    finding: Finding | None = None
 
 
 class Campaign:
@@ -108,12 +79,10 @@ class Campaign:
         self.prior, self.simulator, self.seed = prior, simulator, seed
         self.settings = settings or CampaignSettings()
         self.journal = Journal(folder)
-        self.experiments: list[Experiment] = []
-        self._withdrawn: list[Experiment] = []
-        self.numbers: list[int] = []
-        self.steps: list[Step] = []
         self._identity = self._identify(note or {})
-        self._replay()
+        history = replayed(self.journal)
+        self.steps, self._withdrawn = history.steps, history.withdrawn
+        self.numbers, self.experiments = list(history.told), list(history.told.values())
 
     def _identify(self, note: dict[str, Any]) -> dict[str, Any]:
         """What the journal begins with, checked against the journal if there is one."""
@@ -126,17 +95,7 @@ class Campaign:
                 "note": note,
             }
         )
-        if not self.journal.events:
-            return identity
-        first = self.journal.events[0]
-        if first["event"] != "start":
-            raise InputDataError(f"{self.journal.path}, line 1: event is {first['event']!r}; a campaign begins with 'start'.")
-        known = {key: value for key, value in first.items() if key != "event"}
-        if names := differing(known, identity):
-            raise InputDataError(
-                f"{self.journal.path} is the journal of another campaign: {', '.join(names)} differ. Resume with the same "
-                "arguments; if another version of imr_torch began it, tell its curves to a campaign in a new folder."
-            )
+        check_identity(self.journal, identity)
         return identity
 
     def _record(self, event: str, **fields: Any) -> None:
@@ -144,34 +103,6 @@ class Campaign:
         if not self.journal.events:
             self.journal.append("start", **self._identity)
         self.journal.append(event, **fields)
-
-    def _replay(self) -> None:
-        known: dict[int, Experiment] = {}
-        for line, event in enumerate(self.journal.events, start=1):
-            try:
-                self._replay_one(event, known)
-            except ImrError as error:
-                raise type(error)(f"{self.journal.path}, line {line}: {error}") from None
-            except (KeyError, IndexError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-                raise InputDataError(
-                    f"{self.journal.path}, line {line}: event {event['event']!r} cannot be read "
-                    f"({type(error).__name__}: {error}). Restore the journal from a copy."
-                ) from None
-        self.numbers, self.experiments = list(known), list(known.values())
-
-    def _replay_one(self, event: dict[str, Any], known: dict[int, Experiment]) -> None:
-        """Follow one event; experiments that count are collected in ``known``, by number."""
-        if event["event"] == "observed":
-            for record in event["experiments"]:
-                known[record["number"]] = self.journal.restore(record)
-        elif event["event"] == "learnt":
-            evidence = tuple(Evidence(**_infinite(entry)) for entry in event["evidence"])
-            noise = Noise(**event["noise"]) if event.get("noise") else None
-            finding = Finding.from_dict(event["finding"]) if event.get("finding") else None
-            self.steps.append(Step(event["step"], Belief.from_dict(event["belief"]), evidence, noise=noise, finding=finding))
-        elif event["event"] == "forget":
-            self._withdrawn.append(known.pop(event["experiment"]))
-            self._drop_steps(event["experiment"])
 
     def _drop_steps(self, number: int) -> None:
         """Drop the steps that learnt from an experiment."""
@@ -304,7 +235,8 @@ class Campaign:
         if not experiments:
             raise InputDataError("tell needs at least one experiment.")
         with self.journal.held():
-            self._check_new(experiments)
+            known = {curve_hash(e): (number, e.label) for number, e in zip(self.numbers, self.experiments, strict=True)}
+            check_new(experiments, known, self.outstanding, self.journal.path)
             self._catch_up(progress)
             for experiment in experiments:
                 check_simulated(self.belief, self._window(experiment), self.simulator, self.settings.plan.noise, self.seed)
@@ -318,26 +250,6 @@ class Campaign:
             self.numbers.extend(numbers)
             self.experiments.extend(experiments)
             return self.learn(progress=progress)
-
-    def _check_new(self, experiments: Sequence[Experiment]) -> None:
-        """Raise if a curve was told before, or is given twice."""
-        known = {curve_hash(e): (number, e.label) for number, e in zip(self.numbers, self.experiments, strict=True)}
-        given: dict[str, str] = {}
-        for experiment in experiments:
-            curve = curve_hash(experiment)
-            if curve in known:
-                number, label = known[curve]
-                waiting = " It was not learnt yet; resuming without telling it again does so." * (number in self.outstanding)
-                raise InputDataError(
-                    f"Experiment {experiment.label!r} has the curve of experiment {number} ({label!r}), which is in "
-                    f"{self.journal.path} already; each curve counts once.{waiting} Tell only new curves; to replace this one, "
-                    f"forget it first: Campaign.forget({number}), imr-torch campaign --resume --forget {number}."
-                )
-            if curve in given:
-                raise InputDataError(
-                    f"Experiments {given[curve]!r} and {experiment.label!r} have the same curve, which counts once: omit one."
-                )
-            given[curve] = experiment.label
 
     def forget(self, number: int, *, progress: Progress | None = None) -> Step | None:
         """Take an experiment out of the belief and learn from the others; its curve and its line in the journal stay.
@@ -470,8 +382,3 @@ class Campaign:
         if progress:
             progress(f"stopped: {reason}")
         return self.steps
-
-
-def _infinite(values: dict[str, Any]) -> dict[str, Any]:
-    """Inverse of :func:`finite`; the one number of an evidence that may be infinite is the shape of its tail."""
-    return {k: (math.inf if v is None else v) for k, v in values.items()}

@@ -3,6 +3,7 @@
 import argparse
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,8 @@ def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]
     for option in ("each", "scores", "population") if shots else ():
         if getattr(args, option):
             raise InputDataError(f"--{option} is about curves, and {tables[0]} holds collapse times; leave one of them out.")
+    if not curves:
+        _check_no_curves(args, tables)
     traces = load_traces(*curves, layout=layout_of(args)) if curves else TraceSet(())
     double = {trace.experiment_id for trace in traces} & {shot.experiment_id for shot in shots}
     if double:
@@ -80,6 +83,18 @@ def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]
     of_curves = [name for name in wanted if name not in known]
     chosen = traces.select(of_curves) if of_curves else TraceSet(())
     return chosen, tuple(shot for shot in shots if shot.experiment_id in wanted)
+
+
+def _check_no_curves(args: argparse.Namespace, tables: Sequence[Path]) -> None:
+    """Refuse options about curves where there are collapse times alone."""
+    for option, given in (
+        ("layout", args.layout is not None),
+        ("rest-radius", args.rest_radius is not None),
+        ("collapses", args.collapses != COLLAPSES),
+        ("frames", args.frames != "all"),
+    ):
+        if given:
+            raise InputDataError(f"--{option} is about curves, and {tables[0]} holds collapse times alone; leave it out.")
 
 
 def _each(traces: TraceSet, args: argparse.Namespace) -> None:
@@ -115,6 +130,7 @@ def _characterize(
     """Fit some curves together and print the result: its document, the report, and whether all fits have converged."""
     simulator, rounds = simulator_of(args), NOISE_ROUNDS if args.noise == "estimated" else 0
     rest_radius = rest_radius_of(args)
+    stages = characterize_stages(rounds, scores=args.scores, population=args.population, profile=args.profile)
     simulator, prior, medium = with_medium(args, simulator, prior_of(args), traces, shots)
     prepared = prepare(traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius)
     if len(traces):
@@ -134,8 +150,9 @@ def _characterize(
         frames=args.frames,
         population=args.population,
         scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
+        profile=args.profile,
         seed=args.seed,
-        progress=progress_of(args, characterize_stages(rounds, scores=args.scores, population=args.population), label),
+        progress=progress_of(args, stages, label),
     )
     command = diagnose_command(args, result.posterior.best)
     said = result.report(command)

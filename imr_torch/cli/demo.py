@@ -22,6 +22,8 @@ def run(args: argparse.Namespace) -> None:
     from imr_torch.cli.common import write_result
 
     folder = Path(args.out)
+    if args.threads is not None and args.threads < 1:
+        raise InputDataError(f"--threads is {args.threads}; expected at least 1.")
     _check_folder(folder, again=args.again)
     for source in (example_gel(), example_gel().with_suffix(".json")):
         write_atomically(folder / source.name, lambda stream, source=source: stream.write(source.read_bytes()))

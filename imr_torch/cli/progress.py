@@ -17,7 +17,7 @@ from typing import Any, TextIO
 
 _EVERY, _LOG_EVERY = 0.5, 30.0  # seconds between lines on a terminal, and in a log
 _EARLY = 0.1  # part of the work before which no time left is said
-_LONGEST = 110
+_LONGEST = 140
 _OF = re.compile(r"(\d+)\s*/\s*(\d+)")
 _STEP = re.compile(r"(cycle \d+, )?(iteration|round) \d+")
 
@@ -37,8 +37,10 @@ class Stage:
     begins: str = ""
 
 
-def characterize_stages(noise_rounds: int, *, scores: bool = False, population: bool = False) -> tuple[Stage, ...]:
-    """The stages of ``characterize``: one fit per noise law, draws, the fit test and perhaps scores and each shot alone.
+def characterize_stages(
+    noise_rounds: int, *, scores: bool = False, population: bool = False, profile: bool = False
+) -> tuple[Stage, ...]:
+    """The stages of ``characterize``: one fit per noise law, draws, the fit test and perhaps scores, each shot alone, profiles.
 
     >>> from imr_torch.cli.progress import characterize_stages
     >>> [stage.name for stage in characterize_stages(1)]
@@ -52,7 +54,14 @@ def characterize_stages(noise_rounds: int, *, scores: bool = False, population: 
         fits.append(Stage(f"fit with the estimated noise{again}{draws}", 1.0, r"^noise "))
     last = [Stage("scores of held-out curves", 2.0, r"^scores")] if scores else []
     shots = [Stage("each shot by itself, and the population", 1.5, r"^shots: ")] if population else []
-    return (*fits, *last, Stage("fit test" if shots else "fit test and figures", 0.1, r"^fit test"), *shots)
+    profiles = [Stage("profile likelihoods, and figures", 0.5, r"^profile of")] if profile else []
+    return (
+        *fits,
+        *last,
+        Stage("fit test" if shots or profile else "fit test and figures", 0.1, r"^fit test"),
+        *shots,
+        *profiles,
+    )
 
 
 DIAGNOSE = (

@@ -11,6 +11,7 @@ Soft Matter (2025), doi 10.1039/D5SM00397K, where the collapse time is a formula
 
 import csv
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -92,6 +93,16 @@ class CollapseShot:
                 raise InputDataError(
                     f"{self.source}: experiment '{self.experiment_id}': {name} is {sd:g}; expected an error above 0, or leave "
                     "it out."
+                )
+        for name, value, of in (
+            ("collapse_time_sd_s", self.collapse_time_sd_s, self.collapse_time_s),
+            ("max_radius_sd_m", self.max_radius_sd_m, self.max_radius_m),
+            ("stretch_sd", self.stretch_sd, self.stretch),
+        ):
+            if value is not None and value >= of:
+                raise InputDataError(
+                    f"{self.source}: experiment '{self.experiment_id}': {name} is {value:g}; expected an error below the value "
+                    f"itself, {of:g}, in SI units."
                 )
 
     def to_experiment(self, surroundings: Surroundings) -> "CollapseTime":
@@ -297,13 +308,28 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
             raise InputDataError(f"{path}: is no table of collapse times; expected the columns {', '.join(_COLUMNS)}.")
         stated = Sidecar(path).stated
         with path.open(encoding="utf-8-sig", newline="") as stream:
-            for line, row in enumerate(csv.DictReader(stream, skipinitialspace=True), start=2):
+            table = csv.DictReader(stream, skipinitialspace=True)
+            _check_columns(path, table.fieldnames or ())
+            for line, row in enumerate(table, start=2):
                 shots.append(_shot(row, f"{path}, line {line}", str(path), stated))
     names = [shot.experiment_id for shot in shots]
     double = next((name for name in names if names.count(name) > 1), None)
     if not shots or double is not None:
         raise InputDataError(f"{paths[0]}: " + ("holds no shot." if not shots else f"experiment_id '{double}' occurs twice."))
     return tuple(shots)
+
+
+def _check_columns(path: Path, names: Sequence[str]) -> None:
+    """Raise for a column that would not be read, such as a misspelt error, or that is there twice."""
+    known = (*_COLUMNS, *_ERRORS)
+    for name in names:
+        if name.strip() not in known:
+            raise InputDataError(
+                f"{path}: column {name!r} is none of a table of collapse times; expected {', '.join(_COLUMNS)} and perhaps "
+                f"{', '.join(_ERRORS)}. Rename it, or leave it out."
+            )
+        if list(names).count(name) > 1:
+            raise InputDataError(f"{path}: column {name!r} is there twice; leave one out.")
 
 
 def _shot(row: dict[str, str], where: str, source: str, stated: Statement | None) -> CollapseShot:
@@ -313,6 +339,8 @@ def _shot(row: dict[str, str], where: str, source: str, stated: Statement | None
         except (TypeError, ValueError):
             raise InputDataError(f"{where}: {column} is {row[column]!r}; expected a number in SI units.") from None
 
+    if not (row["experiment_id"] or "").strip():
+        raise InputDataError(f"{where}: experiment_id is empty; give each shot a name.")
     errors = {name: number(column) for column, name in _ERRORS.items() if row.get(column)}
     return CollapseShot(
         row["experiment_id"], *(number(column) for column in _COLUMNS[1:]), **errors, source=source, stated=stated

@@ -52,7 +52,7 @@ class Noise:
 
     def __str__(self) -> str:
         correlated = (
-            f"correlated over {self.correlation_time:g} in t*" if self.correlation_time else "independent between frames"
+            f"correlated over {self.correlation_time:.3g} in t*" if self.correlation_time else "independent between frames"
         )
         return f"{self.scale:.2f} x the published law with {self.scale * self.floor:.4f} in R* everywhere, {correlated}"
 

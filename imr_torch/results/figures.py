@@ -35,6 +35,7 @@ from imr_torch.results.campaign_figures import campaign_figures
 from imr_torch.results.collapse import collapse_figure
 from imr_torch.results.named import NamedFigure, figure_of
 from imr_torch.results.population import population_figure
+from imr_torch.results.profile import profile_named_figures
 from imr_torch.results.whole import check_characterization
 
 _FARTHER = 2.0  # fitted windows that a figure shows of a record
@@ -117,6 +118,7 @@ def _of_characterization(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             "Scatter plots of every pair of parameters.",
             lambda: draw_parameters(belief[best]),
         )
+    yield from profile_named_figures(document)
     if document.get("population"):
         yield NamedFigure(
             "population",
@@ -286,7 +288,7 @@ def _autocorrelation(rows: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], 
     ax.plot(lags, values, ".", color=MODEL, ms=6, label="residuals")
     if memory > 0.0:
         step = float(np.median(np.concatenate([np.diff(t) for t, _, _ in rows])))
-        assumed = f"noise law, {memory:g} in $t^*$"
+        assumed = f"noise law, {memory:.3g} in $t^*$"
         ax.plot(lags, np.exp(-lags * step / memory), color=TRUTH, ls="--", lw=1.2, label=assumed)
     ax.set(xlabel="lag (frames)", ylabel="autocorrelation", ylim=(-1.0, 1.05))
     ax.legend(frameon=False, fontsize=7)

@@ -12,6 +12,8 @@ from imr_torch.results.collapse import collapse_rows
 from imr_torch.results.figures import draw_figures
 from imr_torch.results.named import NamedFigure
 from imr_torch.results.population import population_block
+from imr_torch.results.profile import profile_block
+from imr_torch.select import Bound
 
 _FIGURES = 12  # shown at once; the others are folded away
 _IMPROBABLE = 0.001
@@ -55,6 +57,8 @@ def characterization_page(document: Mapping[str, Any], *, title: str = "", repor
     ]
     if document.get("population"):
         blocks.append(Block("Does the gel differ from shot to shot?", population_block(document["population"])))
+    if document.get("profiles"):
+        blocks.append(Block("Do the data bound each parameter?", profile_block(document)))
     pictures, failed = pictures_of(draw_figures(document))
     blocks.append(Block("Figures", (*pictures[:_FIGURES], *failed)))
     if pictures[_FIGURES:]:
@@ -106,7 +110,9 @@ def gel_table(document: Mapping[str, Any], best: str) -> Table:
     probability = document["model_probabilities"][best]
     rows = [("Model", f"{material(best).title}, probability {probability:.3f} among {len(document['models'])} candidate(s)")]
     for name, (low, middle, high) in document["models"][best]["intervals"].items():
-        rows.append((f"{name}, {PARAMETERS[name].meaning}", PARAMETERS[name].interval(low, middle, high)))
+        words = document["models"][best].get("identifiability", {}).get(name, Bound.BOTH.value)
+        said = "" if words == Bound.BOTH.value else f"; {words}"
+        rows.append((f"{name}, {PARAMETERS[name].meaning}", PARAMETERS[name].interval(low, middle, high) + said))
     unit = "R*" if document["curves"] else "t*"
     rows.append(("Residual", f"{document['models'][best]['rmse']:.4f} in {unit} (root mean square)"))
     return Table(tuple(rows))
@@ -133,7 +139,7 @@ def setting_rows(document: Mapping[str, Any], best: str) -> list[tuple[str, str]
     rows = [("Bubble", _PHYSICS.get(document.get("physics", ""), "as the simulator that was given makes it"))]
     if document.get("curves") or not document.get("collapse_times"):
         said = f"{noise['scale']:.2f} x the published law with {noise['scale'] * noise['floor']:.4f} in R* everywhere, "
-        said += f"correlated over {noise['correlation_time']:g} in t*" if noise["correlation_time"] else "independent frames"
+        said += f"correlated over {noise['correlation_time']:.3g} in t*" if noise["correlation_time"] else "independent frames"
         rows += [("Noise", said), *_noise_rows(document)]
     known = next((part.get("known") for part in document["belief"]["models"] if part.get("model") == best), None)
     if known:

@@ -1,6 +1,7 @@
 """Whether a result document holds what its figures and pages are drawn from, asked before anything is drawn."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from imr_torch.errors import InputDataError
@@ -25,6 +26,7 @@ _CURVE: dict[str, Any] = {
 }
 _MODEL: dict[str, Any] = {"t_star": _LIST, "R_star": _LIST, "residual": _LIST, "residual_over_sd": _LIST}
 _SHOT: dict[str, Any] = {"id": str} | dict.fromkeys(("Rmax_m", "R_inf*", "t_star", "sd", "scatter", "predicted"), _NUMBER)
+_PROFILE: dict[str, Any] = {"values": _LIST, "nats_lost": _LIST, "converged": _LIST, "limits_95": _LIST, "bounded": str}
 _ENTRY: dict[str, Any] = {"intervals": dict, "rmse": _NUMBER, "certificate": dict, "draws": str}
 
 
@@ -54,6 +56,7 @@ def check_characterization(document: Mapping[str, Any]) -> None:
         raise _wrong("curves", "empty", "a curve at least, or collapse_times")
     for number, shot in enumerate(document.get("collapse_times") or ()):
         _check({f"collapse_times[{number}]": shot}, {f"collapse_times[{number}]": _SHOT}, "")
+    _check_profiles(document)
     for number, curve in enumerate(document["curves"]):
         place = f"curves[{number}]"
         _check({place: curve}, {place: _CURVE}, "")
@@ -65,6 +68,27 @@ def check_characterization(document: Mapping[str, Any]) -> None:
         _check_lengths(curve["band"], place + ".band")
         if curve["band"]["model"] not in curve["models"]:
             raise _wrong(f"{place}.band.model", repr(curve["band"]["model"]), "a model of the curve")
+
+
+def _check_profiles(document: Mapping[str, Any]) -> None:
+    """Raise unless profiles, where there are some, are of parameters of the document's models and whole."""
+    profiles = document.get("profiles") or {}
+    _check({"profiles": profiles}, {"profiles": dict}, "")
+    for key, found in profiles.items():
+        if key not in document["models"]:
+            raise _wrong("profiles", f"of {key!r}", f"of {', '.join(document['models'])}")
+        place, entry = f"profiles.{key}", document["models"][key]
+        _check(profiles, {key: dict}, "profiles")
+        _check(found, dict.fromkeys(found, _PROFILE), place)
+        _check({"identifiability": entry.get("identifiability")}, {"identifiability": dict}, f"models.{key}")
+        for name, profile in found.items():
+            if name not in entry["intervals"] or name not in entry["identifiability"]:
+                raise _wrong(place, f"of {name!r}", f"of {', '.join(entry['intervals'])}")
+            _check_lengths({part: profile[part] for part in ("values", "nats_lost", "converged")}, f"{place}.{name}")
+            if not profile["values"] or len(profile["limits_95"]) != 2:
+                raise _wrong(f"{place}.{name}", "without values or limits", "values, and two limits")
+            for part in ("values", "nats_lost", "limits_95"):
+                _check_numbers(profile[part], f"{place}.{name}.{part}", none=part == "limits_95")
 
 
 def _check(values: Mapping[str, Any], wanted: Mapping[str, Any], place: str) -> None:
@@ -86,6 +110,15 @@ def _check_lengths(values: Mapping[str, Any], place: str) -> None:
     lengths = {name: len(value) for name, value in values.items() if isinstance(value, _LIST) and name != "levels"}
     if len(set(lengths.values())) > 1:
         raise _wrong(place, f"of lengths {', '.join(f'{k} {n}' for k, n in lengths.items())}", "the same length of all")
+
+
+def _check_numbers(values: Sequence[Any], place: str, *, none: bool) -> None:
+    """Raise unless all entries of a list are finite numbers, or null where that may be."""
+    for number, value in enumerate(values):
+        if none and value is None:
+            continue
+        if not isinstance(value, _NUMBER) or isinstance(value, bool) or not math.isfinite(value):
+            raise _wrong(f"{place}[{number}]", repr(value)[:40], "a number")
 
 
 def _check_residuals(curve: Mapping[str, Any], model: str, place: str) -> None:

@@ -2,17 +2,21 @@
 
 The marginal likelihood of a parameter is its posterior over its prior. Between Gaussians of the coordinate in which the prior
 is a standard normal it is a Gaussian too, so how far it falls towards either end of the prior follows from two moments
-(Raue et al., Bioinformatics 25, 2009, call a profile that does not fall a practical non-identifiability).
+(Raue et al., Bioinformatics 25, 2009, call a profile that does not fall a practical non-identifiability). Where the profile
+likelihood itself was made, what is said follows from that.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 import torch
 
+from imr_torch.assimilate import Profile
 from imr_torch.material import ModelBelief, Parameter
 
 _END = 2.5  # prior standard deviations: the ends of what was thought possible
+_FLAT = "not determined: the profile likelihood is flat, and the interval is that of the prior"
 _FALL = 1.92  # nats by which the likelihood falls at a 95 % bound (half the quantile of chi-squared with one degree of freedom)
 
 
@@ -38,6 +42,7 @@ class Identifiability:
         parameter: which.
         bound: on which sides.
         limit: the one-sided 95 % limit, SI; None where both sides are bounded, or neither.
+        profiled: whether this follows from the profile likelihood; the limit is then where that has fallen by 1.92 nats.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.select import identifiability
@@ -49,23 +54,28 @@ class Identifiability:
     parameter: Parameter
     bound: Bound
     limit: float | None
+    profiled: bool = False
 
     @property
     def words(self) -> str:
         """A phrase such as ``"only bounded from above: below 0.07 (95 %)"``."""
         if self.limit is None:
-            return self.bound.value
+            return _FLAT if self.profiled and self.bound is Bound.NEITHER else self.bound.value
         unit = self.parameter.display_unit or ("" if self.parameter.unit == "1" else self.parameter.unit)
         value = f"{self.parameter.display_scale * self.limit:.3g} {unit}".rstrip()
-        return f"{self.bound.value}: {'below' if self.bound is Bound.ABOVE else 'above'} {value} (95 %)"
+        level = "95 %, profile likelihood" if self.profiled else "95 %"
+        return f"{self.bound.value}: {'below' if self.bound is Bound.ABOVE else 'above'} {value} ({level})"
 
 
-def identifiability(prior: ModelBelief, posterior: ModelBelief) -> tuple[Identifiability, ...]:
+def identifiability(
+    prior: ModelBelief, posterior: ModelBelief, profiles: Sequence[Profile] = ()
+) -> tuple[Identifiability, ...]:
     """What data say of each free parameter of a model.
 
     Args:
         prior: the model's belief before them.
         posterior: its belief after them.
+        profiles: profile likelihoods of its parameters, which count before what follows from prior and posterior.
 
     >>> import torch
     >>> from imr_torch import wide_prior
@@ -87,10 +97,23 @@ def identifiability(prior: ModelBelief, posterior: ModelBelief) -> tuple[Identif
     low, high = (0.5 * precision * (end - centre).square() - largest > _FALL for end in (-_END, _END))
     limits = dict(zip((Bound.BELOW, Bound.ABOVE), posterior.quantile([0.05, 0.95]).tolist(), strict=True))
     kinds = {(True, True): Bound.BOTH, (True, False): Bound.BELOW, (False, True): Bound.ABOVE, (False, False): Bound.NEITHER}
-    found = []
+    found, profiled = [], {own.name: own for own in profiles}
     parameters = {p.name: p for p in prior.material.parameters}
     for i, name in enumerate(prior.names):
+        if name in profiled:
+            found.append(_of_profile(parameters[name], profiled[name]))
+            continue
         bound = kinds[bool(low[i]), bool(high[i])]
         limit = limits[bound][i] if bound in limits else None
         found.append(Identifiability(parameters[name], bound, limit))
     return tuple(found)
+
+
+def _of_profile(parameter: Parameter, found: Profile) -> Identifiability:
+    """What a profile says: a side on which it falls by 1.92 nats within the prior is bounded there."""
+    low, high = found.limits
+    if low is not None and high is not None:
+        return Identifiability(parameter, Bound.BOTH, None, True)
+    if low is None and high is None:
+        return Identifiability(parameter, Bound.NEITHER, None, True)
+    return Identifiability(parameter, Bound.ABOVE if low is None else Bound.BELOW, high if low is None else low, True)

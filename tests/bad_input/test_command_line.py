@@ -6,8 +6,8 @@ import pytest
 
 from benchmarks.bad_inputs import Case, cases, prepared, tried
 
-DAMAGED = 6  # damaged files of each kind; benchmarks/bad_inputs.py tries more
-KINDS = ("table", "scale", "sidecar", "layout", "set", "option", "target", "belief", "journal", "result", "damaged")
+DAMAGED = 6  # damaged files of each kind; benchmarks/bad_inputs tries more
+KINDS = ("table", "scale", "sidecar", "layout", "set", "option", "new", "target", "belief", "journal", "result", "damaged")
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,60 @@
+"""Quantiles of a posterior: of each parameter, and of the radius that a frame would show."""
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import Assimilation
+from imr_torch.material import Belief, ModelBelief
+from imr_torch.observe import predict
+from imr_torch.simulate import Simulator
+
+LEVELS = (0.05, 0.5, 0.95)
+_NOISE_LEVELS = 21  # quantiles of the noise in a predictive band
+
+
+def intervals(belief: ModelBelief) -> dict[str, list[float]]:
+    """Parameter -> [5 %, 50 %, 95 %] quantile, SI."""
+    return dict(zip(belief.names, belief.quantile(LEVELS).T.tolist(), strict=True))
+
+
+def predictive_band(
+    result: Assimilation,
+    posterior: Belief,
+    simulator: Simulator,
+    model: str,
+    *,
+    draws: int = 100,
+    seed: int = 0,
+    times: Tensor | None = None,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Posterior predictive quantiles (5, 50, 95 %) of single frames, over gel and noise: three ``E x T`` tensors, R/Rmax.
+
+    Args:
+        result: the fits, for the data and the nuisances.
+        posterior: belief after the data.
+        simulator: makes the bubbles.
+        model: whose prediction.
+        draws: posterior draws.
+        seed: of the draws.
+        times: ``E x T`` tensor, dimensionless, increasing; those of the frames when not given.
+    """
+    fit, batch = result[model], result.batch
+    part = posterior[model]
+    controls = part.controls(draws, seed=seed)
+    shifts = (fit.nuisances * batch.nuisance_sds).expand(draws, -1, -1)
+    times = batch.times if times is None else times
+    prediction = predict(simulator, part.parameters(controls), batch, shifts, times=times)
+    # noise at its quantiles, not at random numbers, so that the band is smooth
+    noise = torch.special.ndtri((torch.arange(_NOISE_LEVELS, dtype=torch.float64) + 0.5) / _NOISE_LEVELS)
+    laws = None if fit.sample is None else fit.sample.noise_laws(draws)
+    if laws is None:
+        sd = batch.noise.sd(prediction, times)
+    else:  # each draw with a noise law of its own
+        sd = torch.stack([law.sd(curves, times) for law, curves in zip(laws, prediction, strict=True)])
+    levels = torch.tensor(LEVELS, dtype=prediction.dtype)
+    rows = []
+    for e in range(prediction.shape[1]):
+        seen = prediction[:, e] + sd[:, e] * noise[:, None, None]
+        rows.append(torch.nanquantile(seen.flatten(0, 1), levels, dim=0))
+    low, middle, high = torch.stack(rows, 1)
+    return low, middle, high

@@ -1,0 +1,53 @@
+"""Shots of which the collapse time alone is known, measured and predicted, and patterns in their residuals."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.observe import CollapseTime, ExperimentBatch
+from imr_torch.observe.collapse import serial_correlation
+from imr_torch.units import Surroundings
+
+_FEWEST_SHOTS = 12  # from which on a pattern of residuals is looked for
+_PATTERN = 2.6  # standard deviations; one such set in 200 by chance
+
+
+def collapse_rows(fit: ModelFit, batch: ExperimentBatch, surroundings: Surroundings) -> list[dict[str, object]]:
+    """Each shot of which the collapse time alone is known: measured and, by a fit, predicted, over t*."""
+    return [
+        {
+            "id": e.label,
+            "We": e.design[0],
+            "R_inf*": e.design[1],
+            "Rmax_m": surroundings.max_radius(e.design[0]),
+            "t_star": e.time,
+            "sd": e.sd,
+            "scatter": e.scatter,
+            "predicted": float(fit.prediction[i, 0]),
+        }
+        for i, e in enumerate(batch.experiments)
+        if isinstance(e, CollapseTime)
+    ]
+
+
+def patterns(shots: Sequence[Mapping[str, object]]) -> list[str]:
+    """Where residuals of collapse times follow the size or the stretch of a bubble: they are no independent errors.
+
+    Args:
+        shots: from :func:`collapse_rows`.
+    """
+    said = []
+    if len(shots) < _FEWEST_SHOTS:
+        return []
+    left = torch.tensor([float(str(x["t_star"])) - float(str(x["predicted"])) for x in shots], dtype=torch.float64)
+    for key, words in (("Rmax_m", "maximum radius"), ("R_inf*", "stretch")):
+        order = torch.tensor([float(str(x[key])) for x in shots], dtype=torch.float64)
+        found = serial_correlation(left, order)
+        if found > _PATTERN:
+            said.append(
+                f"Residuals of the collapse times are correlated in the order of {words} ({found:.1f} standard "
+                "deviations): they are no independent errors, intervals are too narrow, and the model or a calibration "
+                "misses something."
+            )
+    return said

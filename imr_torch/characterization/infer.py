@@ -1,0 +1,308 @@
+"""Inference of the parameters of one gel and of the probability of each constitutive model from measured R(t) curves.
+
+The noise is first the published law; then its scale, constant part and correlation time are estimated from the residuals of
+the best model and the fit repeated, so that a model that misses the data gets wider intervals. Posterior and evidence integrate
+over the noise.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from imr_torch.assimilate import (
+    NOISE_ROUNDS,
+    Assimilation,
+    BadFrame,
+    BadFrames,
+    FitOptions,
+    ModelFit,
+    NoisePrior,
+    SearchOptions,
+    assimilate_estimating_noise,
+    find_bad_frames,
+    weigh,
+)
+from imr_torch.assimilate.noise_estimation import determines_noise
+from imr_torch.characterization.checks import check_choices, check_data, check_population, check_profile
+from imr_torch.characterization.effort import EFFORTS
+from imr_torch.characterization.medium import medium_of
+from imr_torch.characterization.profiles import profiles_of
+from imr_torch.characterization.result import Characterization
+from imr_torch.gap import FitTest, check_fit, medium_sensitivities
+from imr_torch.material import Belief, wide_prior
+from imr_torch.observe import (
+    CollapseShot,
+    CollapseTime,
+    Experiment,
+    ExperimentBatch,
+    GelMedium,
+    Noise,
+    Statement,
+    TraceSet,
+    prepare,
+)
+from imr_torch.observe.frames import frame_use
+from imr_torch.population import SCALE, Population, fit_shots, infer_population
+from imr_torch.random import child
+from imr_torch.select import Evidence, PredictiveScore, cross_validate, evidences, sum_over_folds, update
+from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
+from imr_torch.types import Progress
+
+_REFITS = 3  # times that bad frames are left out and the fit repeated
+
+
+def characterize(
+    traces: TraceSet,
+    *,
+    prior: Belief | None = None,
+    simulator: Simulator | None = None,
+    noise: Noise | None = None,
+    estimate_noise: bool = True,
+    collapses: int = 2,
+    rest_radius: tuple[float, float] | None = None,
+    options: FitOptions | None = None,
+    scores: bool = False,
+    check: bool = True,
+    effort: str = "normal",
+    medium: GelMedium | Statement | str | None = None,
+    shots: Sequence[CollapseShot] = (),
+    frames: str = "all",
+    population: bool = False,
+    profile: bool = False,
+    scatter_scale: float = SCALE,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Characterization:
+    """Infer properties and model probabilities from measured curves of one gel.
+
+    Args:
+        traces: the curves.
+        prior: what is believed before; the wide prior when not given.
+        simulator: makes the bubbles; with heat and vapour transport by default.
+        noise: law of the observation noise; the published one by default.
+        estimate_noise: whether its scale, constant part and correlation time are estimated from the residuals and integrated
+            over; not where fewer than ten degrees of freedom are left.
+        collapses: collapses that the fitted window holds.
+        rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
+        options: how gels are fitted, and by which method: :class:`imr_torch.assimilate.SearchOptions` or
+            :class:`imr_torch.assimilate.En4DVarOptions`.
+        scores: whether the prediction of held-out curves is scored too (each alone up to five, more in four parts), with the
+            noise that was estimated from all.
+        check: whether to test if the most probable model explains the curves (:func:`imr_torch.gap.check_fit`).
+        effort: how far draws are weighed where they do not settle the intervals: ``"normal"`` or ``"thorough"``, see
+            ``EFFORTS``.
+        medium: density, sound speed, surface tension, temperature and ambient pressure of the gel, for example
+            ``"water,temperature=310,density=1125:11"`` (:mod:`imr_torch.observe.medium`); it counts before what the files
+            state, and that before the simulator's surroundings. What has a standard deviation is inferred with the gel.
+        shots: shots of which the collapse time alone is known (:func:`imr_torch.observe.load_collapse_times`), beside curves or
+            alone. With ``estimate_noise`` a further error of their times is estimated from their scatter about the fit; that
+            and, beside such shots, the noise of the curves are plugged in and not integrated over.
+        frames: ``"all"`` are fitted, and single ones that look bad are named; with ``"robust"`` these are left out and the
+            fit repeated until none is named, three times at most; those next to a
+            collapse and runs of three or more stay in, since they are more likely a misfit.
+        population: whether each curve is also fitted by itself, under the most probable model, and how much the gel differs
+            between them is inferred (:mod:`imr_torch.population`).
+        scatter_scale: of the half-normal prior of the scatters between curves.
+        profile: whether the profile likelihood of each parameter is made too (:func:`imr_torch.assimilate.profile`), for models
+            with .05 of the probability or more: it says whether the data bound a parameter at all.
+        seed: of everything random.
+        progress: called with one line per step.
+
+    Raises:
+        InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, for scores or a population of only one, or for
+            profiles of models with one parameter.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
+    >>> from imr_torch.assimilate import SearchOptions
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import RadiusTrace, TraceSet
+    >>> from imr_torch.units import Surroundings
+    >>> simulator, size, times = PolytropicSimulator(), 221e-6, torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
+    >>> bubble = simulator(PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), torch.tensor([200.0, 0.2]).double(), times)
+    >>> trace = RadiusTrace("shot 1", times * Surroundings().time_scale(size), size * bubble.radius, "example")
+    >>> result = characterize(
+    ...     TraceSet((trace,)),
+    ...     prior=wide_prior(["nhkv"]),
+    ...     simulator=simulator,
+    ...     estimate_noise=False,
+    ...     rest_radius=(0.2, 0.002),
+    ...     options=SearchOptions(scouts=16, starts=2),
+    ... )
+    >>> [round(x, 1) for x in (result.posterior["nhkv"].means / torch.tensor([8310.0, 0.093])).tolist()]  # over the truth
+    [1.0, 1.0]
+    """
+    started = time.process_time()
+    check_data(traces, shots, scores=scores, population=population)
+    check_choices(effort=effort, frames=frames, scatter_scale=scatter_scale)
+    prior, noise = prior or wide_prior(), noise or Noise()
+    if population:
+        check_population(prior)
+    simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
+    medium = medium_of(traces, medium, simulator.conditions.surroundings, shots)
+    simulator, prior = medium.applied(simulator), medium.believed(prior)
+    if profile:
+        check_profile(prior)
+    surroundings = simulator.conditions.surroundings
+    prepared = prepare(traces, surroundings, collapses=collapses, rest_radius=rest_radius)
+    data = (*prepared.experiments, *(shot.to_experiment(surroundings) for shot in shots))
+    stated = options.drop_behind if isinstance(options, SearchOptions) else None
+    drop_behind = EFFORTS[effort].behind if stated is None else stated
+    method = _Method(
+        prior,
+        simulator,
+        noise,
+        estimate_noise,
+        estimate_noise and not shots,
+        options,
+        EFFORTS[effort].rounds,
+        drop_behind,
+        progress,
+    )
+    found, bad, left_out = method.fitted(data, None, seed), None, ()
+    if len(traces) and (check or frames == "robust"):
+        bad = method.bad_frames(found)
+        if frames == "robust":
+            found, bad, left_out = _without_bad_frames(method, found, bad, prepared.experiments, seed)
+    weighed, evidence, posterior = found.assimilation, found.evidence, found.posterior
+    prepared = replace(prepared, experiments=tuple(e for e in weighed.batch.experiments if isinstance(e, Experiment)))
+    scored = _scores(method, weighed, child(seed, "scores")) if scores else ()
+    tested = _fit_test(method, found, child(seed, "check")) if check and len(traces) else None
+    gels = _population(method, found, prepared.experiments, scatter_scale, child(seed, "population")) if population else None
+    used = tuple(
+        frame_use(trace, prepared.landmarks[trace.experiment_id], experiment, surroundings, collapses=collapses)
+        for trace, experiment in zip(traces, prepared.experiments, strict=True)
+    )
+    moved = medium_sensitivities(weighed[posterior.best.model], weighed.batch, simulator, medium)
+    followed = profiles_of(weighed, posterior, simulator, seed=child(seed, "profile"), progress=progress) if profile else None
+    seconds = time.process_time() - started
+    return Characterization(
+        prepared, weighed, evidence, posterior, seconds, scored, used, tested, medium, moved, bad, left_out, gels, followed
+    )
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Fits with weighed draws, and what follows from them."""
+
+    assimilation: Assimilation
+    evidence: tuple[Evidence, ...]
+    posterior: Belief
+
+    @property
+    def best(self) -> ModelFit:
+        """The fit of the most probable model."""
+        return self.assimilation[self.posterior.best.model]
+
+
+@dataclass(frozen=True)
+class _Method:
+    """How data are fitted: everything that is the same for all of them."""
+
+    prior: Belief
+    simulator: Simulator
+    noise: Noise
+    estimate_noise: bool
+    integrate_noise: bool
+    options: FitOptions | None
+    rounds: int
+    drop_behind: float
+    progress: Progress | None
+
+    @property
+    def noise_rounds(self) -> int:
+        """Times that the noise is estimated and the fit repeated."""
+        return NOISE_ROUNDS if self.estimate_noise else 0
+
+    def fitted(self, data: Sequence[Experiment | CollapseTime], near: Assimilation | None, seed: int) -> _Found:
+        """All models fitted to data, with weighed draws; from fits nearby where they are given."""
+        fits = assimilate_estimating_noise(
+            self.prior,
+            ExperimentBatch(tuple(data), self.noise),
+            self.simulator,
+            rounds=self.noise_rounds,
+            seed=child(seed, "fit"),
+            options=self.options,
+            near=near,
+            progress=self.progress,
+        )
+        best = min(fits.fits, key=lambda fit: fit.cost)
+        uncertain = NoisePrior(self.noise) if self.integrate_noise and determines_noise(best, fits.batch) else None
+        weighed = weigh(
+            fits,
+            self.simulator,
+            seed=child(seed, "weigh"),
+            rounds=self.rounds,
+            drop_behind=self.drop_behind,
+            noise=uncertain,
+            progress=self.progress,
+        )
+        evidence = evidences(weighed)
+        return _Found(weighed, evidence, update(weighed, evidence))
+
+    def bad_frames(self, found: _Found) -> BadFrames:
+        """Single frames that look bad under the most probable model."""
+        return find_bad_frames(*found.best.of_curves(found.assimilation.batch), self.simulator)
+
+
+def _without_bad_frames(
+    method: _Method, found: _Found, bad: BadFrames, experiments: tuple[Experiment, ...], seed: int
+) -> tuple[_Found, BadFrames, tuple[BadFrame, ...]]:
+    """The fit repeated without single frames that look bad until none does; with the frames that were left out."""
+    left_out: tuple[BadFrame, ...] = ()
+    for number in range(_REFITS):
+        single = tuple(frame for frame in bad.frames if frame.single)
+        if not single:
+            break
+        left_out += tuple(_as_recorded(frame, experiments) for frame in single)
+        kept = _without(found.assimilation.batch.experiments, single)
+        found = method.fitted(kept, found.assimilation, child(seed, "robust", number))
+        bad = method.bad_frames(found)
+    return found, bad, left_out
+
+
+def _scores(method: _Method, weighed: Assimilation, seed: int) -> tuple[PredictiveScore, ...]:
+    """How well each model predicts curves that were held out."""
+    options = method.options if isinstance(method.options, SearchOptions) else None
+    return sum_over_folds(cross_validate(weighed, method.simulator, seed=seed, options=options, progress=method.progress))
+
+
+def _fit_test(method: _Method, found: _Found, seed: int) -> FitTest:
+    """Whether the most probable model explains the curves."""
+    if method.progress:
+        method.progress("fit test: does the model explain the curves?")
+    return check_fit(*found.best.of_curves(found.assimilation.batch), method.simulator, seed=seed)
+
+
+def _population(method: _Method, found: _Found, experiments: tuple[Experiment, ...], scale: float, seed: int) -> Population:
+    """How much the gel differs between curves, under the most probable model."""
+    alone = fit_shots(
+        method.prior[found.posterior.best.model],
+        experiments,
+        method.simulator,
+        noise=method.noise,
+        rounds=method.noise_rounds,
+        seed=seed,
+        progress=method.progress,
+    )
+    return infer_population(alone, scale=scale, seed=seed)
+
+
+def _without(
+    experiments: tuple[Experiment | CollapseTime, ...], bad: tuple[BadFrame, ...]
+) -> tuple[Experiment | CollapseTime, ...]:
+    """Experiments without the frames that look bad."""
+    kept: list[Experiment | CollapseTime] = []
+    for experiment in experiments:
+        frames = torch.ones_like(experiment.times, dtype=torch.bool)
+        frames[[frame.frame for frame in bad if frame.experiment == experiment.label]] = False
+        kept.append(experiment.at(frames))
+    return tuple(kept)
+
+
+def _as_recorded(frame: BadFrame, experiments: tuple[Experiment, ...]) -> BadFrame:
+    """The frame with its number among all frames of the fitted window."""
+    times = next(e.times for e in experiments if e.label == frame.experiment)
+    return replace(frame, frame=int((times - frame.time).abs().argmin()))

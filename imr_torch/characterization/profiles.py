@@ -1,0 +1,57 @@
+"""Profile likelihoods of the parameters of the models that matter, and what a result document says of them."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from imr_torch.assimilate import Assimilation, Profile, profile
+from imr_torch.material import Belief
+from imr_torch.random import child
+from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
+
+_LEAST = 0.05  # probability from which on a model has profiles; the most probable one always
+_FEWEST = 2  # free parameters: with one the posterior is the profile
+
+
+def profiles_of(
+    result: Assimilation, posterior: Belief, simulator: Simulator, *, seed: int, progress: Progress | None = None
+) -> dict[str, tuple[Profile, ...]]:
+    """The profiles of each model that holds .05 of the probability or more, at the estimated noise; the most probable first.
+
+    Args:
+        result: the fits of all models.
+        posterior: belief after the data, for the probabilities.
+        simulator: makes the bubbles.
+        seed: of the second starts of the fits.
+        progress: called with one line per fit.
+
+    Returns:
+        Model key -> a profile per free parameter; none for a model with one parameter.
+    """
+    found: dict[str, tuple[Profile, ...]] = {}
+    for key, probability in sorted(posterior.probabilities.items(), key=lambda item: -item[1]):
+        if found and probability < _LEAST:
+            break
+        fit = result[key]
+        if len(fit.prior.names) < _FEWEST:
+            found[key] = ()
+        else:
+            found[key] = profile(fit, result.batch, simulator, seed=child(seed, key), progress=progress)
+    return found
+
+
+def profiles_document(found: Mapping[str, tuple[Profile, ...]] | None) -> dict[str, Any] | None:
+    """Model -> parameter -> its profile, JSON-ready; None where none was asked for."""
+    if found is None:
+        return None
+    return {key: {own.name: _entry(own) for own in profiles} for key, profiles in found.items()}
+
+
+def _entry(found: Profile) -> dict[str, Any]:
+    return {
+        "values": list(found.values),
+        "nats_lost": list(found.fall),
+        "converged": list(found.converged),
+        "limits_95": list(found.limits),
+        "bounded": found.bounded,
+    }

@@ -1,0 +1,194 @@
+"""What was inferred about one gel: parameters, model probabilities and fits, as a JSON document, a table and a report."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from imr_torch.assimilate import Assimilation, BadFrame, BadFrames, ModelFit, NoiseEdge, Profile, noise_edges
+from imr_torch.characterization.bands import intervals
+from imr_torch.characterization.collapse import collapse_rows, patterns
+from imr_torch.characterization.medium import medium_document
+from imr_torch.characterization.profiles import profiles_document
+from imr_torch.characterization.report import report_lines
+from imr_torch.files import write_json
+from imr_torch.gap import FitTest, MediumSensitivity
+from imr_torch.material import Belief
+from imr_torch.observe import Experiment, GelMedium, Landmarks, Noise, Prepared
+from imr_torch.observe.frames import FrameUse
+from imr_torch.population import Population
+from imr_torch.saved import SavedCharacterization, draws_to_dict
+from imr_torch.select import Evidence, Identifiability, PredictiveScore, identifiability
+from imr_torch.units import Surroundings
+
+if TYPE_CHECKING:
+    import pandas
+
+
+@dataclass(frozen=True)
+class Characterization:
+    """Parameters, model probabilities and fits inferred from curves of one gel.
+
+    Args:
+        prepared: the dimensionless curves that were fitted, cut to the window, and what was found on the way.
+        assimilation: the fits of all models, with their certificates.
+        evidence: the evidence of each model.
+        posterior: parameters and model probabilities after the data.
+        seconds: processor time.
+        scores: held-out log density of each model, summed over all curves; empty if none was held out.
+        frames: which frames of each record were fitted.
+        fit_test: whether the most probable model explains the curves; None where that was not asked for.
+        medium: the liquid side, with what was stated and what was assumed; None where the simulator's was taken unasked.
+        sensitivities: what assumed values of the medium would change in the most probable model.
+        bad_frames: single frames that look bad under the most probable model; None where that was not asked for.
+        left_out: bad frames that were left out of the fit, in the order in which they were found.
+        population: how much the gel differs between curves, under the most probable model; None where not asked for.
+        profiles: model key -> the profile likelihoods of its parameters, of models with .05 of the probability or more, at the
+            estimated noise; None where not asked for.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
+    >>> from imr_torch.assimilate import SearchOptions
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import RadiusTrace, TraceSet
+    >>> from imr_torch.units import Surroundings
+    >>> simulator, size, times = PolytropicSimulator(), 221e-6, torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
+    >>> bubble = simulator(PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), torch.tensor([200.0, 0.2]).double(), times)
+    >>> trace = RadiusTrace("shot 1", times * Surroundings().time_scale(size), size * bubble.radius, "example")
+    >>> result = characterize(
+    ...     TraceSet((trace,)),
+    ...     prior=wide_prior(["nhkv"]),
+    ...     simulator=simulator,
+    ...     estimate_noise=False,
+    ...     rest_radius=(0.2, 0.002),
+    ...     options=SearchOptions(scouts=16, starts=2),
+    ... )
+    >>> result.posterior.keys, result.assimilation.converged, len(result.evidence)
+    (('nhkv',), True, 1)
+    """
+
+    prepared: Prepared
+    assimilation: Assimilation
+    evidence: tuple[Evidence, ...]
+    posterior: Belief
+    seconds: float
+    scores: tuple[PredictiveScore, ...] = ()
+    frames: tuple[FrameUse, ...] = ()
+    fit_test: FitTest | None = None
+    medium: GelMedium | None = None
+    sensitivities: tuple[MediumSensitivity, ...] = ()
+    bad_frames: BadFrames | None = None
+    left_out: tuple[BadFrame, ...] = ()
+    population: Population | None = None
+    profiles: Mapping[str, tuple[Profile, ...]] | None = None
+
+    @property
+    def experiments(self) -> tuple[Experiment, ...]:
+        """The dimensionless curves that were fitted, cut to the window; without shots of collapse times."""
+        return self.prepared.experiments
+
+    @property
+    def landmarks(self) -> dict[str, Landmarks]:
+        """Landmarks of each trace, by experiment id."""
+        return self.prepared.landmarks
+
+    @property
+    def noise(self) -> Noise:
+        """The observation noise of the final fit."""
+        return self.assimilation.batch.noise
+
+    @property
+    def noise_intervals(self) -> dict[str, list[float]] | None:
+        """5, 50 and 95 % quantiles of the noise under the most probable model; None where it was not integrated out."""
+        sample = self.assimilation[self.posterior.best.model].sample
+        return None if sample is None else sample.noise_intervals
+
+    @property
+    def noise_edges(self) -> tuple[NoiseEdge, ...]:
+        """Noise parameters that lie at an end of their range; none where the noise was given."""
+        sample = self.assimilation[self.posterior.best.model].sample
+        if sample is None or sample.noise is None:
+            return ()
+        return noise_edges(self.noise, sample.noise.nodes.prior, sample.noise_intervals)
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What makes the numbers doubtful, a sentence each."""
+        edges = (str(edge) for edge in self.noise_edges if edge.remedy)
+        return (*self.prepared.cautions, *edges, *patterns(self.collapse_times()))
+
+    def identifiability(self, fit: ModelFit) -> tuple[Identifiability, ...]:
+        """What the data say of each parameter of a model: from its profile where that was made, else from its posterior."""
+        return identifiability(fit.prior, fit.posterior, (self.profiles or {}).get(fit.model, ()))
+
+    def to_dict(self) -> dict[str, object]:
+        """JSON-ready summary: intervals in SI units, probabilities, residuals, certificates."""
+        models = {}
+        for fit, evidence in zip(self.assimilation.fits, self.evidence, strict=True):
+            certificate = vars(fit.certificate) | {"agreement": min(fit.certificate.agreement, 1e300)}
+            models[fit.model] = {
+                "intervals": intervals(fit.posterior),
+                "identifiability": {f.parameter.name: f.words for f in self.identifiability(fit)},
+                "rmse": self.assimilation.rmse(fit.model),
+                "rmse_by_experiment": self.assimilation.rmse_by_experiment(fit.model),
+                "log_evidence": evidence.value,
+                "log_evidence_error": evidence.error,
+                "effective_samples": evidence.effective_samples,
+                "draws": fit.trust,
+                "verdict": fit.verdict.name.lower(),
+                "certificate": certificate,
+            }
+        return {
+            "experiments": [
+                {"id": e.label, "We": e.design[0], "R_inf*": e.design[1], "exposure_t_star": e.exposure}
+                for e in self.experiments
+            ],
+            "cautions": list(self.cautions),
+            **({} if self.medium is None else medium_document(self.medium, self.sensitivities, self.posterior.best)),
+            "collapse_times": self.collapse_times(),
+            "model_probabilities": self.posterior.probabilities,
+            "models": models,
+            "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
+            "noise": vars(self.noise),
+            "noise_intervals": self.noise_intervals,
+            "noise_edges": [vars(edge) for edge in self.noise_edges],
+            "bad_frames": None if self.bad_frames is None else self.bad_frames.to_dict(),
+            "frames_left_out": [vars(frame) for frame in self.left_out],
+            "fit_test": None if self.fit_test is None else self.fit_test.to_dict(),
+            "population": None if self.population is None else self.population.to_dict(),
+            "profiles": profiles_document(self.profiles),
+            "prior": self.assimilation.prior.to_dict(),
+            "belief": self.posterior.to_dict(),
+            "weighed_draws": draws_to_dict(self.assimilation),
+            "cpu_seconds": self.seconds,
+        }
+
+    def collapse_times(self) -> list[dict[str, object]]:
+        """Each shot of which the collapse time alone is known: measured and, by the most probable model, predicted, over t*."""
+        surroundings = Surroundings() if self.medium is None else self.medium.surroundings
+        return collapse_rows(self.assimilation[self.posterior.best.model], self.assimilation.batch, surroundings)
+
+    def save(self, path: str | Path) -> None:
+        """Write :meth:`to_dict` as JSON, atomically."""
+        write_json(path, self.to_dict())
+
+    @staticmethod
+    def load(path: str | Path) -> SavedCharacterization:
+        """Read a result that :meth:`save` or the command line wrote: posterior, intervals, weighed draws, a table.
+
+        Raises:
+            InputDataError: if the file cannot be read, or holds no such result.
+        """
+        return SavedCharacterization.load(path)
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """One row per model and parameter, SI; needs pandas."""
+        return SavedCharacterization.from_dict(self.to_dict()).to_dataframe()
+
+    def report(self, command: str = "imr-torch diagnose") -> str:
+        """The result as text: whether the fit explains the curves, the frames used, a table per model with its certificate.
+
+        Args:
+            command: what to try if the model does not explain the curves.
+        """
+        return "\n".join(report_lines(self, command))

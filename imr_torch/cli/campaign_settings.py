@@ -1,0 +1,107 @@
+"""What the options of ``imr-torch campaign`` say of choosing, learning and ending."""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+
+from imr_torch.assimilate import NOISE_ROUNDS
+from imr_torch.campaign import CampaignSettings, DesignPolicy, ExactLearner, Fixed, Optimal, Random, SpaceFilling, stopping_rule
+from imr_torch.cli.common import METHODS, names_of, parse_pair, parse_values
+from imr_torch.cli.design import plan_of, space_of
+from imr_torch.errors import InputDataError
+from imr_torch.gap import CauseLearner, TellCausesApart
+from imr_torch.material import Belief, ReferenceCase, library
+
+_CAUSE_SURE = "cause=0.9"  # when a campaign for a cause ends, if nothing else is asked for
+_FITS = {"exact": "map", "en4dvar": "en4dvar"}
+_BASELINES: dict[str, Callable[[], DesignPolicy]] = {"random": Random, "space-filling": SpaceFilling}
+
+
+def settings_of(args: argparse.Namespace) -> CampaignSettings:
+    """What the options say of choosing, learning and ending."""
+    base = CampaignSettings.paper() if args.method == "paper" else CampaignSettings()
+    if args.method != "paper":
+        rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
+        base = replace(base, learner=ExactLearner(options=METHODS[_FITS[args.method]], noise_rounds=rounds))
+    policy, space, plan = _policy(args.policy, base.policy, args.evaluations), space_of(args), plan_of(args)
+    if args.goal == "cause":
+        learner = CauseLearner(_effect_names(args), estimate_noise=not args.case)
+        base = replace(base, learner=learner)
+        policy = TellCausesApart(learner) if args.policy == "optimal" else policy
+        plan = replace(plan, collapses=None) if args.case else plan
+    if isinstance(policy, Fixed):
+        space.check(torch.tensor(policy.designs, dtype=torch.float64))
+        if args.case and not args.stop and args.designs > len(policy.designs):
+            raise InputDataError(f"--policy lists {len(policy.designs)} designs and --designs is {args.designs}; list as many.")
+    rules = args.stop or ([_CAUSE_SURE] if args.goal == "cause" else [])
+    return replace(base, space=space, plan=plan, policy=policy, stop=stopping_rule(*rules))
+
+
+def check_goal(args: argparse.Namespace) -> None:
+    """Raise for options that do not suit the goal."""
+    if args.goal == "gel":
+        for option in ("effects", "hide"):
+            if getattr(args, option) is not None:
+                raise InputDataError(f"--{option} has no effect without --goal cause.")
+        if any(part.strip().startswith("cause=") for text in args.stop for part in text.split(",")):
+            raise InputDataError(f"--stop is {' '.join(args.stop)!r}: cause= has no effect without --goal cause.")
+        return
+    if args.q != 1:
+        raise InputDataError(
+            f"--q is {args.q}; with --goal cause each shot depends on what the last one showed: leave --q out."
+        )
+    if args.method != "exact":
+        raise InputDataError(
+            f"--method is {args.method!r}; --goal cause diagnoses with the exact likelihood: leave --method out."
+        )
+    if args.hide is not None:
+        if not args.case:
+            raise InputDataError("--hide puts an effect into a simulated gel, and has no effect without --case.")
+        hidden(args)
+    _effect_names(args)
+
+
+def hidden(args: argparse.Namespace) -> dict[str, float]:
+    """Parameters of the effect that a simulated gel has, SI."""
+    if args.hide is None:
+        return {}
+    name, given, value = args.hide.partition("=")
+    if not name:
+        raise InputDataError(f"--hide is {args.hide!r}; expected an effect, as sound_speed or sound_speed=0.9.")
+    effect = library([name])[0]
+    values = dict(zip(effect.names, effect.starts[0], strict=True))
+    if given:
+        values |= parse_values(f"{effect.names[0]}={value}", "--hide")
+    return values
+
+
+def one_model(prior: Belief, case: ReferenceCase | None) -> Belief:
+    """The base model of a campaign for a cause: that of the simulated gel, or the only one that is named."""
+    if case:
+        return Belief((prior[case.truth_model],), torch.zeros(1, dtype=torch.float64))
+    if len(prior.models) > 1:
+        raise InputDataError(
+            f"--models names {len(prior.models)} ({', '.join(prior.keys)}); with --goal cause name one, as nhkv."
+        )
+    return prior
+
+
+def _effect_names(args: argparse.Namespace) -> tuple[str, ...]:
+    """The effects that may be the cause; none for the whole library."""
+    names = () if args.effects is None else tuple(names_of(args.effects, "--effects"))
+    library(names or None)
+    return names
+
+
+def _policy(text: str, optimal: DesignPolicy, evaluations: int) -> DesignPolicy:
+    """The policy of a name, or of a list of designs."""
+    if text == "optimal":
+        assert isinstance(optimal, Optimal)
+        return replace(optimal, evaluations=evaluations, initial=min(optimal.initial, evaluations))
+    if text in _BASELINES:
+        return _BASELINES[text]()
+    if ":" not in text:
+        raise InputDataError(f"--policy is {text!r}; expected optimal, {', '.join(_BASELINES)}, or designs We:R_inf*,...")
+    return Fixed(tuple(pair for part in text.split(",") if (pair := parse_pair(part, "--policy")) is not None))
