@@ -191,8 +191,8 @@ def normal_equations(
 
 
 def ensemble_sensitivity(
-    anomalies: Float[Tensor, "*batch members controls"], responses: Float[Tensor, "*batch members outputs"]
-) -> Float[Tensor, "*batch outputs controls"]:
+    anomalies: Float[Tensor, "*#batch members controls"], responses: Float[Tensor, "*#batch members outputs"]
+) -> Float[Tensor, "*#batch outputs controls"]:
     """Sensitivity of predictions to controls by regression over an ensemble.
 
     Exact for a linear model and any ensemble of more members than controls (the bundle form of the iterative ensemble

@@ -279,7 +279,7 @@ class NoiseMixture:
     nuisance_chol: Float[Tensor, "experiments 3 3"]
 
     @classmethod
-    def of(cls, equations: NormalEquations, log_weights: Float[Tensor, "laws"], point: Point) -> "NoiseMixture":
+    def of(cls, equations: NormalEquations, log_weights: Float[Tensor, "*laws"], point: Point) -> "NoiseMixture":
         """From the equations of each law; no law moves the gel by more than two of its own standard deviations."""
         weights, reduced = torch.softmax(log_weights.flatten(), 0), equations.reduced
         hessian = reduced.hessian.flatten(0, 1)

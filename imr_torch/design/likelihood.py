@@ -28,8 +28,8 @@ class Data:
         window: frames that will be assimilated.
     """
 
-    radius: Float[Tensor, "draws designs frames"]
-    window: Bool[Tensor, "draws designs frames"]
+    radius: Float[Tensor, "*draws designs frames"]
+    window: Bool[Tensor, "*draws designs frames"]
 
     def __len__(self) -> int:
         return len(self.radius)

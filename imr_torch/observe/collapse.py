@@ -219,13 +219,13 @@ def first_minimum(
 
 def predict_collapse(
     simulator: Simulator,
-    parameters: Float[Tensor, "*batch parameters"],
+    parameters: Float[Tensor, "*#batch parameters"],
     designs: Float[Tensor, "experiments 2"],
     measured: Float[Tensor, "experiments"],
-    shifts: Float[Tensor, "*batch experiments 3"] | None = None,
+    shifts: Float[Tensor, "*#batch experiments 3"] | None = None,
     *,
     bundled: bool = False,
-) -> Float[Tensor, "*batch experiments"]:
+) -> Float[Tensor, "*#batch experiments"]:
     """Collapse times that would be measured of each gel in each shot: ``batch_shape x E``, dimensionless; NaN without one.
 
     Args:

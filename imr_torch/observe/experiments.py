@@ -313,13 +313,13 @@ class ExperimentBatch:
 
 def predict(
     simulator: Simulator,
-    parameters: Float[Tensor, "*batch parameters"],
+    parameters: Float[Tensor, "*#batch parameters"],
     film: Film | ExperimentBatch,
-    shifts: Float[Tensor, "*batch experiments 3"] | None = None,
+    shifts: Float[Tensor, "*#batch experiments 3"] | None = None,
     *,
     times: Float[Tensor, "experiments frames"] | None = None,
     bundled: bool = False,
-) -> Float[Tensor, "*batch experiments frames"]:
+) -> Float[Tensor, "*#batch experiments frames"]:
     """What the camera would see of each gel in each experiment.
 
     Args:

@@ -41,7 +41,7 @@ class TransportField:
     >>> import torch
     >>> from imr_torch.material import PARAMETERS
     >>> from imr_torch.simulate import TransportField
-    >>> gel, design = PARAMETERS.pack({"G": [8310.0], "mu": [0.093]}), torch.tensor([[400.0, 0.22]]).double()
+    >>> gel, design = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})[None], torch.tensor([[400.0, 0.22]]).double()
     >>> field = TransportField.of(gel, design)
     >>> len(field), field.start()[0].tolist()  # one bubble, at R* = 1
     (1, [1.0])

@@ -172,9 +172,9 @@ class ParallelSimulator:
 
     def bundle(
         self,
-        parameters: Real[Tensor, "*#batch #bundle parameters"],
-        designs: Real[Tensor, "*#batch #bundle 2"],
-        times: Real[Tensor, "*#batch #bundle frames"],
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
     ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`. Raises as a call does."""
         return solve_bundles(self._solve, _ALL, (parameters, designs, times))

@@ -113,9 +113,9 @@ class ScipySimulator:
 
     def bundle(
         self,
-        parameters: Real[Tensor, "*#batch #bundle parameters"],
-        designs: Real[Tensor, "*#batch #bundle 2"],
-        times: Real[Tensor, "*#batch #bundle frames"],
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
     ) -> Solution:
         """Not supported: every bubble has steps of its own.
 

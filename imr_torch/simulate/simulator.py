@@ -135,9 +135,9 @@ class Simulator(Protocol):
 
     def bundle(
         self,
-        parameters: Real[Tensor, "*#batch #bundle parameters"],
-        designs: Real[Tensor, "*#batch #bundle 2"],
-        times: Real[Tensor, "*#batch #bundle frames"],
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
     ) -> Solution:
         """Simulate bundles: members that differ a little, in lock step, so that their differences are smooth.
 
@@ -159,9 +159,7 @@ class Simulator(Protocol):
 def solve_bundles(
     solve: Callable[..., tuple[Tensor, ...]],
     size: int,
-    arguments: tuple[
-        Real[Tensor, "*#batch #bundle parameters"], Real[Tensor, "*#batch #bundle 2"], Real[Tensor, "*#batch #bundle frames"]
-    ],
+    arguments: tuple[Real[Tensor, "*#batch parameters"], Real[Tensor, "*#batch 2"], Real[Tensor, "*#batch frames"]],
 ) -> Solution:
     """As :func:`solve_batch` for bundles: the last batch dimension is theirs, and blocks hold whole bundles.
 
@@ -178,7 +176,7 @@ def solve_bundles(
     >>> from imr_torch.simulate import solve_bundles
     >>> def still(parameters, designs, times, width):
     ...     one, count = torch.ones_like(times), len(times)
-    ...     return one, 0 * one, one, torch.zeros(count), torch.zeros(count)
+    ...     return one, 0 * one, one, *torch.zeros(2, count, dtype=torch.long)
     >>> arguments = PARAMETERS.neutral(3, 2), torch.tensor([400.0, 0.22]), torch.linspace(0.0, 2.0, 5)
     >>> solve_bundles(still, 100, arguments).radius.shape  # 3 bundles of 2 members
     torch.Size([3, 2, 5])
@@ -292,7 +290,7 @@ def solve_batch(
     >>> from imr_torch.simulate import solve_batch
     >>> def still(parameters, designs, times):  # a solver whose bubbles stay at R* = 1
     ...     one, count = torch.ones_like(times), len(times)
-    ...     return one, 0 * one, one, torch.zeros(count), torch.zeros(count)
+    ...     return one, 0 * one, one, *torch.zeros(2, count, dtype=torch.long)
     >>> arguments = PARAMETERS.neutral(3), torch.tensor([400.0, 0.22]), torch.linspace(0.0, 2.0, 5)
     >>> solve_batch(still, 100, arguments).radius.shape
     torch.Size([3, 5])

@@ -121,9 +121,9 @@ class TransportSimulator:
 
     def bundle(
         self,
-        parameters: Real[Tensor, "*#batch #bundle parameters"],
-        designs: Real[Tensor, "*#batch #bundle 2"],
-        times: Real[Tensor, "*#batch #bundle frames"],
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
     ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
         with torch.no_grad():

@@ -28,12 +28,12 @@ class Head:
         memory: the gel's memory states.
     """
 
-    time: Float[Tensor, "members"]
-    radius: Float[Tensor, "members"]
-    velocity: Float[Tensor, "members"]
-    pressure: Float[Tensor, "members"]
-    pressure_rate: Float[Tensor, "members"]
-    memory: Float[Tensor, "states members"]
+    time: Float[Tensor, "*#members"]
+    radius: Float[Tensor, "*#members"]
+    velocity: Float[Tensor, "*#members"]
+    pressure: Float[Tensor, "*#members"]
+    pressure_rate: Float[Tensor, "*#members"]
+    memory: Float[Tensor, "states *#members"]
 
 
 @dataclass(frozen=True)
@@ -47,24 +47,26 @@ class HeadSlopes:
         memory_memory: of ``d memory/dt`` (rows) in memory (columns), ``K x K x B``.
     """
 
-    radius: Float[Tensor, "members"]
-    velocity: Float[Tensor, "members"]
-    pressure: Float[Tensor, "members"]
-    pressure_rate: Float[Tensor, "members"]
-    time: Float[Tensor, "members"]
-    memory: Float[Tensor, "states members"]
-    memory_radius: Float[Tensor, "states members"]
-    memory_velocity: Float[Tensor, "states members"]
+    radius: Float[Tensor, "*#members"]
+    velocity: Float[Tensor, "*#members"]
+    pressure: Float[Tensor, "*#members"]
+    pressure_rate: Float[Tensor, "*#members"]
+    time: Float[Tensor, "*#members"]
+    memory: Float[Tensor, "states *#members"]
+    memory_radius: Float[Tensor, "states *#members"]
+    memory_velocity: Float[Tensor, "states *#members"]
     memory_memory: Float[Tensor, "states states members"]
 
 
-def motion(bubbles: Bubbles, head: Head) -> tuple[Float[Tensor, "members"], Float[Tensor, "states members"]]:
+def motion(bubbles: Bubbles, head: Head) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "states *#members"]]:
     """``U'``, a ``B`` tensor, and ``d memory/dt``, ``K x B``."""
     far, far_rate, _ = far_field(bubbles, head.time)
     return _motion(bubbles, head, far, far_rate)
 
 
-def motion_slopes(bubbles: Bubbles, head: Head) -> tuple[Float[Tensor, "members"], Float[Tensor, "states members"], HeadSlopes]:
+def motion_slopes(
+    bubbles: Bubbles, head: Head
+) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "states *#members"], HeadSlopes]:
     """``U'``, ``d memory/dt`` and all derivatives."""
     far, far_rate, far_bend = far_field(bubbles, head.time)
     acceleration, memory_rate = _motion(bubbles, head, far, far_rate)
@@ -118,8 +120,8 @@ def _motion(bubbles: Bubbles, head: Head, far: Tensor, far_rate: Tensor) -> tupl
 
 
 def gas_loss(
-    bubbles: Bubbles, radius: Float[Tensor, "members"], velocity: Float[Tensor, "members"]
-) -> Float[Tensor, "members"]:
+    bubbles: Bubbles, radius: Float[Tensor, "*#members"], velocity: Float[Tensor, "*#members"]
+) -> Float[Tensor, "*#members"]:
     """Relative rate ``-n'/n`` at which gas is lost, by all effects, a ``B`` tensor."""
     total = torch.zeros_like(radius)
     for effect in bubbles.acting("gas_loss"):
@@ -129,8 +131,8 @@ def gas_loss(
 
 
 def gas_loss_slopes(
-    bubbles: Bubbles, radius: Float[Tensor, "members"], velocity: Float[Tensor, "members"]
-) -> tuple[Float[Tensor, "members"], Float[Tensor, "members"], Float[Tensor, "members"]]:
+    bubbles: Bubbles, radius: Float[Tensor, "*#members"], velocity: Float[Tensor, "*#members"]
+) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "*#members"], Float[Tensor, "*#members"]]:
     """:func:`gas_loss` and its derivatives in R and U."""
     lost = gas_loss(bubbles, radius, velocity)
     if not bubbles.acting("gas_loss"):
@@ -140,8 +142,8 @@ def gas_loss_slopes(
 
 
 def vapour_factor(
-    bubbles: Bubbles, compression: Float[Tensor, "members"]
-) -> tuple[Float[Tensor, "members"], Float[Tensor, "members"]]:
+    bubbles: Bubbles, compression: Float[Tensor, "*#members"]
+) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "*#members"]]:
     """Factor on the saturation pressure at a compression of the contents, and its logarithmic derivative; ``B`` tensors."""
     one = torch.ones_like(compression)
     effects = bubbles.acting("vapour")
@@ -160,8 +162,8 @@ def vapour_factor(
 
 
 def far_field(
-    bubbles: Bubbles, time: Float[Tensor, "members"]
-) -> tuple[Float[Tensor, "members"], Float[Tensor, "members"], Float[Tensor, "members"]]:
+    bubbles: Bubbles, time: Float[Tensor, "*#members"]
+) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "*#members"], Float[Tensor, "*#members"]]:
     """Pressure afar and its first two time derivatives, dimensionless."""
     value = bubbles.numbers.far
     rate = bend = torch.zeros_like(value)
