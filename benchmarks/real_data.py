@@ -116,11 +116,9 @@ class Task:
 
 
 def some(traces: TraceSet, most: int) -> TraceSet:
-    """At most so many traces, evenly spread over those long enough to be fitted; all if none is, to learn why."""
-    if most == 0 or len(traces) <= most:
-        return traces
+    """At most so many traces (0: any number), evenly spread over those long enough; all if none is, to learn why."""
     names = [name for name in (trace.experiment_id for trace in traces) if _long_enough(traces.select([name]))]
-    kept = [names[(2 * i + 1) * len(names) // (2 * most)] for i in range(most)] if len(names) > most else names
+    kept = [names[(2 * i + 1) * len(names) // (2 * most)] for i in range(most)] if 0 < most < len(names) else names
     return traces.select(kept) if kept else traces
 
 

@@ -43,14 +43,30 @@ class LinearSimulator:
 
     def columns(self, frames: int, weber: Tensor) -> Tensor:
         """``... x frames x p`` for ``...`` Weber numbers."""
-        k = torch.arange(frames, dtype=torch.float64)[:, None]
-        j = torch.arange(len(PARAMETERS), dtype=torch.float64)
-        units = tensor(*[self.units.get(name, 1.0) for name in PARAMETERS.names])
+        return self._columns(frames, weber, torch.arange(len(PARAMETERS)))
+
+    def _columns(self, frames: int, weber: Tensor, which: Tensor) -> Tensor:
+        """Those of some parameters, by their places."""
+        k, j = torch.arange(frames, dtype=torch.float64)[:, None], which.double()
+        units = tensor(*[self.units.get(name, 1.0) for name in PARAMETERS.names])[which]
         return 0.1 * torch.cos((0.5 + 0.4 * j) * k + 0.003 * weber[..., None, None] + j) / units
+
+    def _gel(self, parameters: Tensor, weber: Tensor, frames: int) -> Tensor:
+        """What the gel adds, ``n x frames``: once a Weber number, and of parameters that are not zero."""
+        which = parameters.ne(0.0).any(0).nonzero()[:, 0]
+        different, place = weber.unique(return_inverse=True)
+        columns = self._columns(frames, different, which)
+        if len(different) > 8:
+            return (columns[place] @ parameters[:, which, None])[..., 0]
+        gel = torch.empty(len(parameters), frames, dtype=torch.float64)
+        for number, own in enumerate(columns):
+            rows = place == number
+            gel[rows] = parameters[rows][:, which] @ own.mT
+        return gel
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
-        gel = (self.columns(times.shape[-1], designs[:, 0]) @ parameters[..., None])[..., 0]
+        gel = self._gel(parameters, designs[:, 0], times.shape[-1])
         radius = 0.6 + self.time_slope * times + self.rest_slope * designs[:, 1:2] + gel
         bad = torch.full(radius.shape[:1], self.fails)
         for name, top in self.limit.items():

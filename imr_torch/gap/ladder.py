@@ -28,6 +28,7 @@ _FURTHER = 3.0  # nats that an effect must explain to be added or kept
 _CANDIDATES = 6  # effects that are fitted in a later step
 _FIT = SearchOptions(starts=2, iterations=30, drop_behind=6.0, basin_rounds=0, polish=False)
 _FINISH = SearchOptions(starts=2, iterations=12, basin_rounds=0, polish=False)  # slow ones end uncertified, and say so
+_CLEAR = 10.0  # standard deviations from zero at which an effect is kept: some 50 nats
 _LESS = 0.7  # second start of an effect over its first
 
 
@@ -177,6 +178,7 @@ def climb(
     test: GapTest,
     known: Mapping[str, ModelFit],
     *,
+    tested: Mapping[str, Adequacy] | None = None,
     most: int = 4,
     seed: int,
     progress: Progress | None = None,
@@ -188,6 +190,7 @@ def climb(
         null: the base model's fit.
         test: the gap test there.
         known: hypothesis -> fit, those of an attribution; what is missing is fitted.
+        tested: hypothesis -> the gap test at its fit in ``known``; what is missing is tested.
         most: effects at most.
         seed: of fits and tests.
         progress: called with one line per step.
@@ -206,7 +209,9 @@ def climb(
         if names in seen:
             break
         seen.add(names)
-        left = adequacy_test(fit, inquiry.effects, batch, inquiry.simulator, seed=child(own, "adequacy"))
+        name = Hypothesis(inquiry.base, chosen).name
+        left = (tested or {}).get(name) if fit is known.get(name) else None
+        left = left or adequacy_test(fit, inquiry.effects, batch, inquiry.simulator, seed=child(own, "adequacy"))
         gained = laplace_evidence(fit) - laplace_evidence(before.fit)
         rungs.append(Rung(tuple(e.name for e in chosen), fit, gained, left.test, left_over(fit, batch)))
         if progress:
@@ -286,9 +291,15 @@ def _best_addition(
 def _without_superfluous(
     inquiry: Inquiry, chosen: tuple[Effect, ...], fit: ModelFit, *, seed: int
 ) -> tuple[tuple[Effect, ...], ModelFit]:
-    """Effects less those without which the evidence is nearly as large, the least needed first; never the last one."""
+    """Effects less those without which the evidence is nearly as large, the least needed first; never the last one.
+
+    An effect whose amplitude is many standard deviations from zero is kept without a fit.
+    """
     while len(chosen) > 1:
-        last, tried = chosen[-1], [Hypothesis(inquiry.base, tuple(e for e in chosen if e is not out)) for out in chosen[:-1]]
+        last, doubtful = chosen[-1], [effect for effect in chosen[:-1] if _distance(fit, effect) < _CLEAR]
+        tried = [Hypothesis(inquiry.base, tuple(e for e in chosen if e is not out)) for out in doubtful]
+        if not tried:
+            break
         first, *shape = fit.parameters(fit.mean)[PARAMETERS.index(last.names)].tolist()
         starts = {last.name: [(first, *shape), (_LESS * first, *shape)]}
         found = fit_hypotheses(tried, fit, inquiry.batch, inquiry.simulator, seed=seed, starts=starts, options=_FIT)
@@ -297,6 +308,13 @@ def _without_superfluous(
             break
         chosen, fit = best.effects, _finished(found[best.name], inquiry, seed)
     return chosen, fit
+
+
+def _distance(fit: ModelFit, effect: Effect) -> float:
+    """Standard deviations of an effect's fitted amplitude from zero, by the slope of its prior's transform at the fit."""
+    place = fit.prior.names.index(effect.names[0])
+    marginal, at, sd = fit.prior.marginals[place], fit.mean[place], fit.chol[place].norm()
+    return float(marginal.to_physical(at).abs() / (sd * marginal.log_slope(at).exp()))
 
 
 def _finished(fit: ModelFit, inquiry: Inquiry, seed: int) -> ModelFit:

@@ -27,7 +27,7 @@ from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
-MOST = 2
+MOST = 4
 """Effects that a ladder adds, at most."""
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed
 
@@ -148,8 +148,10 @@ def closed_by(
         progress: called with one line per step.
     """
     effects = tuple(LIBRARY[name] for name in report.directions)
-    inquiry, own = Inquiry(report.null.prior, effects, report.batch, simulator), child(seed, "shrinkage")
-    ladder = climb(inquiry, report.null, report.gap, report.fits, most=most, seed=child(seed, "ladder"), progress=progress)
+    inquiry = Inquiry(report.null.prior, effects, report.batch, simulator)
+    tested = {step.winner: step.left for step in report.steps if step.left}
+    own = child(seed, "ladder")
+    ladder = climb(inquiry, report.null, report.gap, report.fits, tested=tested, most=most, seed=own, progress=progress)
     ladder = replace(ladder, own_gels=own_gel_rungs(scatter, report) if scatter else ())
     if not unseen and len(report.batch.experiments) < 2:
         return ladder, None
@@ -160,7 +162,7 @@ def closed_by(
         names += [found.winner, *([rival] if rival else [])]
     fits = {name: report.fits[name] for name in names} | {rung.name: rung.fit for rung in ladder.rungs}
     apart = ExperimentBatch(tuple(unseen), report.batch.noise) if unseen else None
-    sds = {}
+    own, sds = child(seed, "shrinkage"), {}
     if scatter:
         for name in ("none", scatter.rival):
             fits[name], sds[name] = report.fits[name], scatter.sds[with_scatter(name)]

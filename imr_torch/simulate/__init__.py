@@ -1,5 +1,7 @@
 """Stage 2, the bubble: from a gel and a design to radius, velocity and pressure over time."""
 
+import importlib
+
 from imr_torch.simulate.coarser import coarser
 from imr_torch.simulate.conditions import (
     PRESETS,
@@ -87,3 +89,6 @@ __all__ = [
     "solve_bundles",
     "with_inner",
 ]
+
+# Registers the parameters of the camera: a vector has every entry, whatever is imported first.
+importlib.import_module("imr_torch.observe")

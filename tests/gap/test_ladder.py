@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from imr_torch.gap import Ladder, Parts, describe, diagnose, examine, library, to_json
+from imr_torch.gap import ladder as ladder_module
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.hypotheses import Hypothesis
@@ -86,6 +87,15 @@ def test_that_an_effect_which_another_makes_superfluous_is_dropped() -> None:
     inquiry = Inquiry(BASE, (wrong, right), batch, SIMULATOR)
     ladder = climb(inquiry, null, test, known, seed=0)
     assert ladder.rungs[-1].effects == ("gas_loss",)
+
+
+def test_that_fits_saved_by_amplitudes_far_from_zero_change_no_rung(climbed, monkeypatch) -> None:
+    report, parts = climbed
+    inquiry = Inquiry(BASE, tuple(LIBRARY[name] for name in report.directions), report.batch, SIMULATOR)
+    monkeypatch.setattr(ladder_module, "_CLEAR", float("inf"))  # a refit without each effect decides on every rung
+    slow = climb(inquiry, report.null, report.gap, report.fits, seed=0)
+    assert [rung.effects for rung in slow.rungs] == [rung.effects for rung in parts.ladder.rungs]
+    assert slow.rungs[-1].test.p_value == pytest.approx(parts.ladder.rungs[-1].test.p_value, rel=0.5)
 
 
 def test_that_what_is_left_of_a_perfect_fit_is_within_its_noise() -> None:
