@@ -85,7 +85,7 @@ class Evidence:
 
     own: Float[Tensor, "data"]
     total: Float[Tensor, "data"]
-    pulls: list[Float[Tensor, "inner 2"]]
+    pulls: list[Float[Tensor, "_ 2"]]
     effective: Float[Tensor, "data"]
 
 

@@ -58,7 +58,7 @@ class Fields:
     wall: Wall
     heat: Float[Tensor, "members"]
     vapour: Float[Tensor, "members"]
-    outer_slope: Float[Tensor, "outside+1 members"]
+    outer_slope: Float[Tensor, "wall_and_outside members"]
     outer_laplacian: Float[Tensor, "outside members"]
 
 

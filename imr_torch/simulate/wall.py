@@ -55,7 +55,7 @@ class HeadSlopes:
     memory: Float[Tensor, "states *#members"]
     memory_radius: Float[Tensor, "states *#members"]
     memory_velocity: Float[Tensor, "states *#members"]
-    memory_memory: Float[Tensor, "states states members"]
+    memory_memory: Float[Tensor, "states states *#members"]
 
 
 def motion(bubbles: Bubbles, head: Head) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "states *#members"]]:
