@@ -21,3 +21,16 @@ def shared() -> Path:
     if not (folder / "data").is_dir():
         pytest.skip(f"reference data not found at {folder}; set IMR_TORCH_SHARED to the folder that holds data/ and reference/")
     return folder
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``--check-shapes``: every call checks the annotated shapes."""
+    parser.addoption("--check-shapes", action="store_true", help="check the annotated tensor shapes in every call")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Before a test imports the package."""
+    if config.getoption("--check-shapes"):
+        from tests import shape_check
+
+        shape_check.install()

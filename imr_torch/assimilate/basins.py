@@ -8,6 +8,7 @@ all nuisances follow, and the lowest end counts.
 """
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.conditional import conditional_nuisances
@@ -23,7 +24,7 @@ _MARGIN = 1e-6  # from the earliest time of a bubble, against rounding
 _DISTINCT = 1e-13  # between times that may coincide, as places are apart by what frames may be apart by
 
 
-def deeper_nuisances(posterior: Posterior, point: Point) -> Tensor:
+def deeper_nuisances(posterior: Posterior, point: Point) -> Float[Tensor, "models experiments 3"]:
     """Nuisances in the deepest basin of each experiment that is found at fixed gels.
 
     Args:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.gauss_newton import NormalEquations
@@ -27,16 +28,16 @@ class Chains:
         posterior: of one model.
         masked: the same without the frames next to collapses.
         point: ``C`` points, positions of the chains.
-        seen: ``C x E x T`` tensor, the prediction there.
-        cost: ``C`` tensor, nats; infinite where a bubble fails.
-        aim: ``C`` tensor, what a chain lowers: the cost, or that of the frames that are not masked.
-        begun: ``C`` tensor, the cost at the start.
-        masking: ``C`` booleans, whether a chain leaves the masked frames out.
-        leading: ``C`` booleans, whether a chain has a leader, whose solver steps all its bubbles take.
+        seen: the prediction there.
+        cost: nats; infinite where a bubble fails.
+        aim: what a chain lowers: the cost, or that of the frames that are not masked.
+        begun: the cost at the start.
+        masking: whether a chain leaves the masked frames out.
+        leading: whether a chain has a leader, whose solver steps all its bubbles take.
         leader: ``C`` points.
-        damping: ``C`` tensor, of Levenberg and Marquardt.
-        scale: ``C x d x d`` tensor, Cholesky factors of the gel's posterior covariance as the last linearisation has it.
-        gradient: ``C`` tensor, length of the gradient in posterior standard deviations.
+        damping: of Levenberg and Marquardt.
+        scale: Cholesky factors of the gel's posterior covariance as the last linearisation has it.
+        gradient: length of the gradient in posterior standard deviations.
         iterations: ``C`` integers.
         finished: ``C`` booleans.
         around: per chain its point and the points beside it, simulated; None where not done.
@@ -49,18 +50,18 @@ class Chains:
     posterior: Posterior
     masked: Masked
     point: Point
-    seen: Tensor
-    cost: Tensor
-    aim: Tensor
-    begun: Tensor
-    masking: Tensor
-    leading: Tensor
+    seen: Float[Tensor, "chains experiments frames"]
+    cost: Float[Tensor, "chains"]
+    aim: Float[Tensor, "chains"]
+    begun: Float[Tensor, "chains"]
+    masking: Bool[Tensor, "chains"]
+    leading: Bool[Tensor, "chains"]
     leader: Point
-    damping: Tensor
-    scale: Tensor
-    gradient: Tensor
-    iterations: Tensor
-    finished: Tensor
+    damping: Float[Tensor, "chains"]
+    scale: Float[Tensor, "chains controls controls"]
+    gradient: Float[Tensor, "chains"]
+    iterations: Int[Tensor, "chains"]
+    finished: Bool[Tensor, "chains"]
     around: tuple[Neighbourhood | None, ...]
     equations: tuple[NormalEquations | None, ...]
     restarts: int = 0
@@ -103,12 +104,12 @@ class Chains:
         return len(self.cost)
 
     @property
-    def active(self) -> Tensor:
+    def active(self) -> Int[Tensor, "rows"]:
         """Indices of the chains that are not finished."""
         return torch.nonzero(~self.finished)[:, 0]
 
     @property
-    def ranked(self) -> Tensor:
+    def ranked(self) -> Int[Tensor, "rows"]:
         """Indices of all chains, lowest cost first."""
         return torch.argsort(self.cost)
 
@@ -117,7 +118,7 @@ class Chains:
         """The lowest cost."""
         return float(self.cost.min())
 
-    def put(self, rows: Tensor, **values: Any) -> "Chains":
+    def put(self, rows: Int[Tensor, "rows"], **values: Any) -> "Chains":
         """The state with values of some chains replaced: a tensor, a :class:`Point`, or one value for all of them."""
         changed: dict[str, Any] = {}
         for name, value in values.items():
@@ -131,7 +132,7 @@ class Chains:
                 changed[name] = old.index_put((rows,), torch.as_tensor(value, dtype=old.dtype))
         return replace(self, **changed)
 
-    def restarted(self, rows: Tensor, point: Point) -> "Chains":
+    def restarted(self, rows: Int[Tensor, "rows"], point: Point) -> "Chains":
         """With some chains restarted from other points."""
         seen = self.posterior.predict(point)
         cost = -self.posterior.log_joint(point, seen)
@@ -147,7 +148,7 @@ class Chains:
             around=None,
         )
 
-    def near(self, rows: Tensor) -> Neighbourhood:
+    def near(self, rows: Int[Tensor, "rows"]) -> Neighbourhood:
         """The simulated points and neighbours of some chains."""
         known = [self.around[row] for row in rows.tolist()]
         return Neighbourhood.stack([n for n in known if n is not None])

@@ -8,6 +8,7 @@ is not good enough to draw from. The result is a function of the gel alone, so i
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.posterior import Point, Posterior
@@ -15,13 +16,15 @@ from imr_torch.assimilate.posterior import Point, Posterior
 _LONGEST = 4.0  # prior standard deviations in one step
 
 
-def conditional_nuisances(posterior: Posterior, point: Point, chol: Tensor) -> tuple[Tensor, Tensor]:
+def conditional_nuisances(
+    posterior: Posterior, point: Point, chol: Float[Tensor, "draws experiments 3 3"]
+) -> tuple[Float[Tensor, "draws experiments 3"], Float[Tensor, "draws experiments 3 3"]]:
     """Most probable nuisances of each gel and their precision, by one Gauss-Newton step.
 
     Args:
         posterior: gel and nuisances are of it; simulates one bubble, and one for each uncertain nuisance of every experiment.
         point: ``n`` gels, with nuisances to start from.
-        chol: ``n x E x 3 x 3`` tensor, lower Cholesky factors of their Hessian, kept where a bubble fails.
+        chol: lower Cholesky factors of their Hessian, kept where a bubble fails.
 
     Returns:
         Nuisances ``n x E x 3`` and Cholesky factors ``n x E x 3 x 3``.

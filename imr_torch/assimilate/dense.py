@@ -1,6 +1,7 @@
 """Fitted curves at so many times that a collapse is drawn round, and not as a kink between two frames."""
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
@@ -11,7 +12,9 @@ _UNIFORM = 200  # points of a drawn curve that lie evenly in time
 _ALONG = (200, 200)  # those added evenly along the curve found so far, which a collapse needs
 
 
-def dense_curve(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> tuple[Tensor, Tensor]:
+def dense_curve(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator
+) -> tuple[Float[Tensor, "experiments points"], Float[Tensor, "experiments points"]]:
     """The fitted curve at so many times that a collapse is drawn round: two ``E x D`` tensors, t* and R/Rmax.
 
     Args:

@@ -11,6 +11,7 @@ import math
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.chains import Chains
@@ -52,7 +53,7 @@ def iterate(chains: Chains, options: SearchOptions) -> Chains:
     return chains
 
 
-def predict_led(chains: Chains, rows: Tensor, point: Point) -> Tensor:
+def predict_led(chains: Chains, rows: Int[Tensor, "rows"], point: Point) -> Float[Tensor, "rows points experiments frames"]:
     """Predictions ``C x N x E x T`` of ``N`` points of each of some chains, behind its leader or, without one, each alone."""
     leading, posterior = chains.leading[rows], chains.posterior
     made = torch.empty(*point.gel.shape[:2], *posterior.batch.mask.shape, dtype=torch.float64)

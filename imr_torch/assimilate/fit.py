@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.importance import ImportanceSample
@@ -89,13 +90,13 @@ class ModelFit:
 
     Args:
         prior: the model's belief before the data.
-        mean: ``d`` tensor, most probable ``v``.
-        chol: ``d x d`` tensor, Cholesky factor of its covariance, nuisances marginalised.
-        nuisances: ``E x 3`` tensor, standardised nuisances at the optimum.
-        nuisance_response: ``E x 3 x d`` tensor, how they move with ``v``.
-        nuisance_chol: ``E x 3 x 3`` tensor, lower Cholesky factors of the nuisances' Hessian.
+        mean: most probable ``v``.
+        chol: Cholesky factor of its covariance, nuisances marginalised.
+        nuisances: standardised nuisances at the optimum.
+        nuisance_response: how they move with ``v``.
+        nuisance_chol: lower Cholesky factors of the nuisances' Hessian.
         cost: negative log of likelihood x prior at the optimum, without the constants of the priors.
-        prediction: ``E x T`` tensor, R/Rmax at the optimum.
+        prediction: R/Rmax at the optimum.
         certificate: whether it converged.
         sample: draws weighed by the exact posterior; None before :func:`imr_torch.assimilate.weigh`.
 
@@ -114,13 +115,13 @@ class ModelFit:
     """
 
     prior: ModelBelief
-    mean: Tensor
-    chol: Tensor
-    nuisances: Tensor
-    nuisance_response: Tensor
-    nuisance_chol: Tensor
+    mean: Float[Tensor, "controls"]
+    chol: Float[Tensor, "controls controls"]
+    nuisances: Float[Tensor, "experiments 3"]
+    nuisance_response: Float[Tensor, "experiments 3 controls"]
+    nuisance_chol: Float[Tensor, "experiments 3 3"]
     cost: float
-    prediction: Tensor
+    prediction: Float[Tensor, "experiments frames"]
     certificate: Certificate
     sample: ImportanceSample | None = None
 
@@ -227,17 +228,17 @@ class ModelFit:
             return f"intervals repaired: of weighed draws, {float(moved):.2f} sd from the fitted Gaussian at most ({shape})"
         return f"intervals not reliable: quote none of this model ({shape})"
 
-    def nuisances_at(self, controls: Tensor) -> Tensor:
-        """Most probable nuisances given the gel, linearised: ``... x d`` to ``... x E x 3``."""
+    def nuisances_at(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch experiments 3"]:
+        """Most probable nuisances given the gel, linearised."""
         deviation = controls - self.mean
         return self.nuisances + (self.nuisance_response @ deviation[..., None, :, None])[..., 0]
 
-    def nuisance_noise(self, noise: Tensor) -> Tensor:
+    def nuisance_noise(self, noise: Float[Tensor, "*batch experiments 3"]) -> Float[Tensor, "*batch experiments 3"]:
         """Standard normal numbers ``... x E x 3`` as deviations of the nuisances given the gel."""
         return torch.linalg.solve_triangular(self.nuisance_chol.mT, noise[..., None], upper=True)[..., 0]
 
-    def parameters(self, controls: Tensor) -> Tensor:
-        """Shared parameter vectors at controls ``v``: ``... x d`` to ``... x p``, SI."""
+    def parameters(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch parameters"]:
+        """Shared parameter vectors at controls ``v``, SI."""
         return self.prior.to_si(controls)
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 
@@ -17,18 +18,18 @@ class Reduced:
     """Normal equations of the gel alone, nuisances eliminated.
 
     Args:
-        gradient: ``... x d`` tensor, gradient with the nuisances at their conditional optimum.
+        gradient: gradient with the nuisances at their conditional optimum.
         hessian: ``... x d x d`` tensor.
-        nuisance_step: ``... x E x 3`` tensor, step of the nuisances when the gel stays.
-        nuisance_response: ``... x E x 3 x d`` tensor, how the nuisances' optimum moves with the gel.
-        nuisance_log_det: ``...`` tensor, log determinant of the nuisances' own Hessian.
+        nuisance_step: step of the nuisances when the gel stays.
+        nuisance_response: how the nuisances' optimum moves with the gel.
+        nuisance_log_det: log determinant of the nuisances' own Hessian.
     """
 
-    gradient: Tensor
-    hessian: Tensor
-    nuisance_step: Tensor
-    nuisance_response: Tensor
-    nuisance_log_det: Tensor
+    gradient: Float[Tensor, "*batch controls"]
+    hessian: Float[Tensor, "*batch controls controls"]
+    nuisance_step: Float[Tensor, "*batch experiments 3"]
+    nuisance_response: Float[Tensor, "*batch experiments 3 controls"]
+    nuisance_log_det: Float[Tensor, "*batch"]
 
 
 @dataclass(frozen=True)
@@ -36,9 +37,9 @@ class NormalEquations:
     """Linearisation of the joint cost at one point, as the blocks of the arrow.
 
     Args:
-        gel_gradient: ``... x d`` tensor, prior included.
-        nuisance_gradient: ``... x E x 3`` tensor, prior included.
-        gel_hessian: ``... x d x d`` tensor, Gauss-Newton Hessian, prior included.
+        gel_gradient: prior included.
+        nuisance_gradient: prior included.
+        gel_hessian: Gauss-Newton Hessian, prior included.
         nuisance_hessian: ``... x E x 3 x 3`` tensor.
         cross: ``... x E x 3 x d`` tensor.
 
@@ -53,17 +54,17 @@ class NormalEquations:
     -1.5
     """
 
-    gel_gradient: Tensor
-    nuisance_gradient: Tensor
-    gel_hessian: Tensor
-    nuisance_hessian: Tensor
-    cross: Tensor
+    gel_gradient: Float[Tensor, "*batch controls"]
+    nuisance_gradient: Float[Tensor, "*batch experiments 3"]
+    gel_hessian: Float[Tensor, "*batch controls controls"]
+    nuisance_hessian: Float[Tensor, "*batch experiments 3 3"]
+    cross: Float[Tensor, "*batch experiments 3 controls"]
 
     def __getitem__(self, rows: int | Tensor) -> "NormalEquations":
         """Those of some of the points."""
         return NormalEquations(*(getattr(self, block.name)[rows] for block in fields(self)))
 
-    def where(self, condition: Tensor, others: "NormalEquations") -> "NormalEquations":
+    def where(self, condition: Bool[Tensor, "chains"], others: "NormalEquations") -> "NormalEquations":
         """These where the condition (``C`` booleans) holds, else the others."""
         pairs = ((getattr(self, block.name), getattr(others, block.name)) for block in fields(self))
         return NormalEquations(*(torch.where(condition.view(-1, *[1] * (one.ndim - 1)), one, two) for one, two in pairs))
@@ -84,26 +85,28 @@ class NormalEquations:
         return Reduced(gradient, definite(0.5 * (hessian + hessian.mT)), step, response, log_det)
 
     @property
-    def whitened_gradient(self) -> Tensor:
-        """``...`` tensor: length of the joint gradient in posterior standard deviations; 0 at the optimum."""
+    def whitened_gradient(self) -> Float[Tensor, "*batch"]:
+        """Length of the joint gradient in posterior standard deviations; 0 at the optimum."""
         chol = torch.linalg.cholesky(self.reduced.hessian)
         gel = torch.linalg.solve_triangular(chol, self.reduced.gradient[..., None], upper=False).square().sum((-2, -1))
         nuisances = -(self.nuisance_gradient * self.reduced.nuisance_step).sum((-2, -1))
         return (gel + nuisances).sqrt()
 
     @property
-    def posterior_chol(self) -> Tensor:
+    def posterior_chol(self) -> Float[Tensor, "*batch controls controls"]:
         """``... x d x d`` lower Cholesky factor of the inverse Hessian of the gel, nuisances marginalised."""
         return inverse_chol(self.reduced.hessian)
 
-    def step(self, damping: Tensor) -> tuple[Tensor, Tensor]:
+    def step(
+        self, damping: Float[Tensor, "*#batch"]
+    ) -> tuple[Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments 3"]]:
         """Levenberg-Marquardt steps of gel (``... x d``) and nuisances (``... x E x 3``) for a ``...`` damping."""
         damped = self._eliminate(damping)
         gel = -torch.linalg.solve(damped.hessian, damped.gradient[..., None])[..., 0]
         return gel, damped.nuisance_step + (damped.nuisance_response @ gel[..., None, :, None])[..., 0]
 
 
-def definite(hessian: Tensor) -> Tensor:
+def definite(hessian: Float[Tensor, "*batch controls controls"]) -> Float[Tensor, "*batch controls controls"]:
     """Hessians ``... x d x d`` in controls, with eigenvalues of at least 1 where rounding has left one that is not positive.
 
     The prior's own Hessian is the identity, so no exact one is smaller. Sensitivities of 1e8 standard deviations, at the
@@ -122,7 +125,7 @@ def definite(hessian: Tensor) -> Tensor:
     return torch.where(lost[..., None, None], 0.5 * (mended + mended.mT), hessian)
 
 
-def inverse_chol(hessian: Tensor) -> Tensor:
+def inverse_chol(hessian: Float[Tensor, "*batch controls controls"]) -> Float[Tensor, "*batch controls controls"]:
     """Lower Cholesky factors ``... x d x d`` of the inverses of positive definite matrices, ill-conditioned ones too.
 
     With rows and columns reversed, a factor of the matrix gives one of its inverse, so that no inverse is factored; where
@@ -150,13 +153,16 @@ def _damped(hessian: Tensor, damping: Tensor) -> Tensor:
 
 
 def normal_equations(
-    gel: Tensor, nuisances: Tensor, gradients: tuple[Tensor, Tensor], sensitivities: tuple[Tensor, Tensor]
+    gel: Float[Tensor, "*#batch controls"],
+    nuisances: Float[Tensor, "*#batch experiments 3"],
+    gradients: tuple[Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments 3"]],
+    sensitivities: tuple[Float[Tensor, "*#batch experiments frames controls"], Float[Tensor, "*#batch experiments frames 3"]],
 ) -> NormalEquations:
     """Assemble the arrow.
 
     Args:
-        gel: ``... x d`` tensor, controls ``v``.
-        nuisances: ``... x E x 3`` tensor, controls ``w``.
+        gel: controls ``v``.
+        nuisances: controls ``w``.
         gradients: of the negative log likelihood over ``v`` (``... x d``) and ``w`` (``... x E x 3``).
         sensitivities: of the whitened predictions over ``v`` (``... x E x T x d``) and ``w`` (``... x E x T x 3``).
 
@@ -184,15 +190,17 @@ def normal_equations(
     )
 
 
-def ensemble_sensitivity(anomalies: Tensor, responses: Tensor) -> Tensor:
+def ensemble_sensitivity(
+    anomalies: Float[Tensor, "*#batch members controls"], responses: Float[Tensor, "*#batch members outputs"]
+) -> Float[Tensor, "*#batch outputs controls"]:
     """Sensitivity of predictions to controls by regression over an ensemble.
 
     Exact for a linear model and any ensemble of more members than controls (the bundle form of the iterative ensemble
     Kalman smoother: Bocquet & Sakov, Nonlin. Processes Geophys. 20, 2013, section 2).
 
     Args:
-        anomalies: ``... x N x d`` tensor, members' controls minus the centre.
-        responses: ``... x N x m`` tensor, members' predictions minus the centre's; a member with NaN does not count.
+        anomalies: members' controls minus the centre.
+        responses: members' predictions minus the centre's; a member with NaN does not count.
 
     Returns:
         ``... x m x d`` tensor; zero where no member counts.

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.noise_posterior import NoiseNodes
@@ -22,16 +23,16 @@ _LARGEST_SHAPE = 2.0  # of a tail, in an error; beyond it nothing is known
 _SHORTEST_TAIL = 5  # weights to which a generalised Pareto distribution can be fitted
 
 
-def kish(weights: Tensor) -> Tensor:
+def kish(weights: Float[Tensor, "draws"]) -> Float[Tensor, ""]:
     """Effective sample size of weights of any scale (Kish 1965), a 0-d tensor."""
     return weights.sum().square() / weights.square().sum()
 
 
-def smooth(log_weights: Tensor) -> tuple[Tensor, float]:
+def smooth(log_weights: Float[Tensor, "draws"]) -> tuple[Float[Tensor, "draws"], float]:
     """Pareto-smoothed log weights on the scale of the given ones, and the shape ``k`` of their tail.
 
     Args:
-        log_weights: ``n`` tensor; ``-inf`` for draws that count for nothing.
+        log_weights: ``-inf`` for draws that count for nothing.
 
     Returns:
         The smoothed weights, and ``k``: infinite where too few weights count for a tail to be fitted.
@@ -69,25 +70,25 @@ class NoiseSample:
 
     Args:
         nodes: ``M`` laws with their prior probabilities.
-        by_experiment: ``n x M x E`` tensor, log likelihood of each experiment under each law, its nuisances integrated out.
-        drawn: ``n`` integers: one law of each draw, from its conditional posterior.
+        by_experiment: log likelihood of each experiment under each law, its nuisances integrated out.
+        drawn: one law of each draw, from its conditional posterior.
     """
 
     nodes: NoiseNodes
-    by_experiment: Tensor
-    drawn: Tensor
+    by_experiment: Float[Tensor, "draws laws experiments"]
+    drawn: Int[Tensor, "draws"]
 
-    def likelihood_of(self, experiments: Sequence[int]) -> Tensor:
-        """``n`` tensor: log likelihood of some experiments together, the noise integrated over its prior."""
+    def likelihood_of(self, experiments: Sequence[int]) -> Float[Tensor, "draws"]:
+        """Log likelihood of some experiments together, the noise integrated over its prior."""
         return torch.logsumexp(self.by_experiment[:, :, list(experiments)].sum(2) + self.nodes.log_prior.flatten(), 1)
 
     @cached_property
-    def log_likelihood(self) -> Tensor:
-        """``n`` tensor: log likelihood of all experiments, the noise integrated over its prior."""
+    def log_likelihood(self) -> Float[Tensor, "draws"]:
+        """Log likelihood of all experiments, the noise integrated over its prior."""
         return self.likelihood_of(range(self.by_experiment.shape[2]))
 
-    def probabilities(self, weights: Tensor) -> Tensor:
-        """``M`` tensor: posterior probability of each law, by normalised weights of the draws."""
+    def probabilities(self, weights: Float[Tensor, "draws"]) -> Float[Tensor, "laws"]:
+        """Posterior probability of each law, by normalised weights of the draws."""
         joint = self.by_experiment.sum(2) + self.nodes.log_prior.flatten()
         each = torch.where(weights[:, None] > 0.0, torch.softmax(joint, 1), 0.0)
         return weights @ each
@@ -98,17 +99,17 @@ class ImportanceSample:
     """Weighed draws of one model's posterior.
 
     Args:
-        controls: ``n x d`` tensor, draws of the gel's controls ``v``.
-        log_prior: ``n`` tensor, log density of ``v`` under the prior, a standard normal.
-        by_experiment: ``n x E`` tensor, log likelihood of each experiment given ``v``, its nuisances integrated out (without
+        controls: draws of the gel's controls ``v``.
+        log_prior: log density of ``v`` under the prior, a standard normal.
+        by_experiment: log likelihood of each experiment given ``v``, its nuisances integrated out (without
             bias before the logarithm); ``-inf`` where a solve failed. Of the noise that the fit was made with.
-        log_proposal: ``n`` tensor, log density of the proposal.
-        nuisances: ``n x E x 3`` tensor, one draw of the nuisances given ``v`` and the data for each draw.
-        centre: ``d`` tensor, mean of ``v`` that the proposal was made for.
-        spread: ``d x d`` tensor, Cholesky factor of the covariance that it was made for.
+        log_proposal: log density of the proposal.
+        nuisances: one draw of the nuisances given ``v`` and the data for each draw.
+        centre: mean of ``v`` that the proposal was made for.
+        spread: Cholesky factor of the covariance that it was made for.
         first_shape: ``k`` of the first round, whose proposal is the Gaussian with heavier tails.
         rounds: how many rounds of draws were made; these are of the last one, and its proposal does not depend on them.
-        precisions: ``n x d x d`` tensor, of the posterior about each draw; None where not known.
+        precisions: of the posterior about each draw; None where not known.
         noise: the draws under other noise laws, over which weights and all that follows are integrated; None where the noise
             is taken as known.
 
@@ -124,45 +125,45 @@ class ImportanceSample:
     (True, 0.5, -1.5)
     """
 
-    controls: Tensor
-    log_prior: Tensor
-    by_experiment: Tensor
-    log_proposal: Tensor
-    nuisances: Tensor
-    centre: Tensor
-    spread: Tensor
+    controls: Float[Tensor, "draws controls"]
+    log_prior: Float[Tensor, "draws"]
+    by_experiment: Float[Tensor, "draws experiments"]
+    log_proposal: Float[Tensor, "draws"]
+    nuisances: Float[Tensor, "draws experiments 3"]
+    centre: Float[Tensor, "controls"]
+    spread: Float[Tensor, "controls controls"]
     first_shape: float
     rounds: int
-    precisions: Tensor | None = None
+    precisions: Float[Tensor, "draws controls controls"] | None = None
     noise: NoiseSample | None = None
 
     def __len__(self) -> int:
         return len(self.controls)
 
     @property
-    def log_likelihood(self) -> Tensor:
+    def log_likelihood(self) -> Float[Tensor, "draws"]:
         """``n`` tensor, of all experiments; nuisances are integrated out, and the noise where it is uncertain."""
         return self.by_experiment.sum(1) if self.noise is None else self.noise.log_likelihood
 
     @property
-    def log_target(self) -> Tensor:
+    def log_target(self) -> Float[Tensor, "draws"]:
         """``n`` tensor, log of likelihood x prior of each draw, all else integrated out."""
         return self.log_likelihood + self.log_prior
 
     @property
-    def log_target_as_fitted(self) -> Tensor:
+    def log_target_as_fitted(self) -> Float[Tensor, "draws"]:
         """``n`` tensor, the same with the noise that the fit was made with."""
         return self.by_experiment.sum(1) + self.log_prior
 
-    def without(self, experiments: Sequence[int]) -> Tensor:
-        """``n`` tensor: log density of some experiments given gel and all the others; nuisances and noise integrated out."""
+    def without(self, experiments: Sequence[int]) -> Float[Tensor, "draws"]:
+        """Log density of some experiments given gel and all the others; nuisances and noise integrated out."""
         if self.noise is None:
             return self.by_experiment[:, list(experiments)].sum(1)
         others = [e for e in range(self.by_experiment.shape[1]) if e not in experiments]
         return self.noise.log_likelihood - self.noise.likelihood_of(others)
 
     @property
-    def log_weights(self) -> Tensor:
+    def log_weights(self) -> Float[Tensor, "draws"]:
         """``n`` tensor before smoothing; their mean estimates the evidence."""
         return self.log_target - self.log_proposal
 
@@ -176,7 +177,7 @@ class ImportanceSample:
         return self._smoothed[1]
 
     @cached_property
-    def weights(self) -> Tensor:
+    def weights(self) -> Float[Tensor, "draws"]:
         """``n`` tensor of normalised, smoothed weights."""
         return torch.softmax(self._smoothed[0], dim=0)
 
@@ -205,14 +206,16 @@ class ImportanceSample:
         """The draws weighed with the noise that the fit was made with."""
         return self if self.noise is None else replace(self, noise=None)
 
-    def widened(self, mean: Tensor, chol: Tensor) -> tuple[Tensor, Tensor]:
+    def widened(
+        self, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]
+    ) -> tuple[Float[Tensor, "controls"], Float[Tensor, "controls controls"]]:
         """A Gaussian of the posterior under the fit's noise, with what uncertain noise changes in mean and covariance.
 
         Both changes are differences between two weightings of the same draws, so most of the chance in them cancels.
 
         Args:
             mean: ``d`` tensor.
-            chol: ``d x d`` tensor, Cholesky factor of the covariance.
+            chol: Cholesky factor of the covariance.
         """
         if self.noise is None:
             return mean, chol
@@ -236,7 +239,7 @@ class ImportanceSample:
         """``count`` noise laws of the posterior, of equal weight; None where the noise is known."""
         return None if self.noise is None else [self.noise.nodes.law(int(n)) for n in self.noise.drawn[self.spaced(count)]]
 
-    def divergence(self, mean: Tensor, chol: Tensor) -> float:
+    def divergence(self, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]) -> float:
         """Kullback-Leibler divergence of a Gaussian from that with the moments found, nats, less its expectation by chance.
 
         With ``n`` effective draws that is ``d (d + 3)/(4 n)``: half a chi-square of as many degrees of freedom
@@ -244,7 +247,7 @@ class ImportanceSample:
 
         Args:
             mean: ``d`` tensor.
-            chol: ``d x d`` tensor, Cholesky factor of the covariance.
+            chol: Cholesky factor of the covariance.
         """
         size = len(mean)
         shift = torch.linalg.solve_triangular(chol, (self.mean - mean)[:, None], upper=False)
@@ -279,34 +282,34 @@ class ImportanceSample:
         return math.hypot(self._spread, max(count ** (shape - 1.0) - count**-0.5, 0.0))
 
     @cached_property
-    def mean(self) -> Tensor:
+    def mean(self) -> Float[Tensor, "controls"]:
         """``d`` tensor, posterior mean of ``v``."""
         return self.weights @ self.controls
 
     @property
-    def covariance(self) -> Tensor:
+    def covariance(self) -> Float[Tensor, "controls controls"]:
         """``d x d`` tensor, posterior covariance of ``v``."""
         deviation = self.controls - self.mean
         return (self.weights[:, None] * deviation).mT @ deviation
 
     @property
-    def mean_error(self) -> Tensor:
+    def mean_error(self) -> Float[Tensor, "controls"]:
         """``d`` tensor, Monte Carlo standard error of ``mean`` (Owen 2013, section 9.2)."""
         return (self.weights.square() @ (self.controls - self.mean).square()).sqrt()
 
     @property
-    def sd_error(self) -> Tensor:
+    def sd_error(self) -> Float[Tensor, "controls"]:
         """``d`` tensor, Monte Carlo standard error of the square roots of the diagonal of ``covariance``."""
         variance = self.covariance.diagonal()
         excess = (self.controls - self.mean).square() - variance
         return (self.weights.square() @ excess.square()).sqrt() / (2.0 * variance.sqrt())
 
-    def spaced(self, count: int) -> Tensor:
+    def spaced(self, count: int) -> Int[Tensor, "count"]:
         """Indices of ``count`` draws of equal weight, the same whenever asked for (systematic resampling)."""
         positions = (torch.arange(count, dtype=torch.float64) + 0.5) / count
         return torch.searchsorted(self.weights.cumsum(0), positions).clamp_max(len(self) - 1)
 
-    def resample(self, count: int, source: torch.Generator) -> Tensor:
+    def resample(self, count: int, source: torch.Generator) -> Int[Tensor, "count"]:
         """Indices of ``count`` draws of equal weight, each within one of its expected number (systematic resampling)."""
         start = torch.rand((), generator=source, dtype=torch.float64)
         positions = (torch.arange(count, dtype=torch.float64) + start) / count

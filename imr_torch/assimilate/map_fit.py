@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.chains import Chains
@@ -36,8 +37,8 @@ def assimilate(
     seed: int,
     options: SearchOptions | None = None,
     near: Assimilation | None = None,
-    starts: Sequence[Tensor] | None = None,
-    nuisances: Sequence[Tensor] | None = None,
+    starts: Sequence[Float[Tensor, "starts _"]] | None = None,
+    nuisances: Sequence[Float[Tensor, "experiments 3"]] | None = None,
     warn: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:

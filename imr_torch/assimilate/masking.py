@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
@@ -21,12 +22,12 @@ class Masked:
 
     Args:
         posterior: of these frames.
-        frames: ``E x T'`` integer tensor, which of all frames they are.
+        frames: which of all frames they are.
         useful: whether any frame is left out.
     """
 
     posterior: Posterior
-    frames: Tensor
+    frames: Int[Tensor, "experiments kept"]
     useful: bool
 
     @classmethod
@@ -38,7 +39,7 @@ class Masked:
         frames = torch.nn.utils.rnn.pad_sequence([torch.nonzero(k)[:, 0] for k in kept], batch_first=True)
         return cls(replace(posterior, batch=fewer), frames, not all(bool(k.all()) for k in kept))
 
-    def seen(self, prediction: Tensor) -> Tensor:
+    def seen(self, prediction: Float[Tensor, "*batch experiments frames"]) -> Float[Tensor, "*batch experiments kept"]:
         """Predictions ``batch_shape x E x T`` of all frames at those that are kept."""
         kept = prediction.gather(-1, self.frames.expand(*prediction.shape[:-1], -1))
         return torch.where(self.posterior.batch.mask, kept, 0.0)
@@ -48,7 +49,9 @@ class Masked:
         return replace(whole, posterior=self.posterior, prediction=self.seen(whole.prediction))
 
 
-def away_from_collapses(times: Tensor, radius: Tensor) -> Tensor:
+def away_from_collapses(
+    times: Float[Tensor, "*#batch frames"], radius: Float[Tensor, "*#batch frames"]
+) -> Bool[Tensor, "*#batch frames"]:
     """Frames that are neither a minimum nor next to one (the record may end at one); all, if those are less than half."""
     times = torch.cat((times, times[-1:] + 1.0))
     radius = torch.cat((radius, radius.amax(0, keepdim=True)))

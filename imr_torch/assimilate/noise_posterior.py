@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.gauss_newton import NormalEquations
@@ -264,21 +265,21 @@ class NoiseMixture:
     """Moments of gel and nuisances over noise laws of given weights, to first order.
 
     Args:
-        mean: ``d`` tensor, of the whitened gel.
-        chol: ``d x d`` tensor, Cholesky factor of its covariance.
-        nuisances: ``E x 3`` tensor, means at that gel.
-        nuisance_response: ``E x 3 x d`` tensor, how they move with the gel.
-        nuisance_chol: ``E x 3 x 3`` tensor, lower Cholesky factors of the precision of the nuisances given the gel.
+        mean: of the whitened gel.
+        chol: Cholesky factor of its covariance.
+        nuisances: means at that gel.
+        nuisance_response: how they move with the gel.
+        nuisance_chol: lower Cholesky factors of the precision of the nuisances given the gel.
     """
 
-    mean: Tensor
-    chol: Tensor
-    nuisances: Tensor
-    nuisance_response: Tensor
-    nuisance_chol: Tensor
+    mean: Float[Tensor, "controls"]
+    chol: Float[Tensor, "controls controls"]
+    nuisances: Float[Tensor, "experiments 3"]
+    nuisance_response: Float[Tensor, "experiments 3 controls"]
+    nuisance_chol: Float[Tensor, "experiments 3 3"]
 
     @classmethod
-    def of(cls, equations: NormalEquations, log_weights: Tensor, point: Point) -> "NoiseMixture":
+    def of(cls, equations: NormalEquations, log_weights: Float[Tensor, "*laws"], point: Point) -> "NoiseMixture":
         """From the equations of each law; no law moves the gel by more than two of its own standard deviations."""
         weights, reduced = torch.softmax(log_weights.flatten(), 0), equations.reduced
         hessian = reduced.hessian.flatten(0, 1)
@@ -316,14 +317,14 @@ class NoiseNodes:
         prior: of the law.
         pairs: ``J`` pairs of floor and correlation time.
         log_scales: ``J x S`` tensor.
-        log_prior: ``J x S`` tensor, prior probability of each node, nats.
+        log_prior: prior probability of each node, nats.
         about: the posterior over all laws, to first order.
     """
 
     prior: NoisePrior
     pairs: _Pairs
-    log_scales: Tensor
-    log_prior: Tensor
+    log_scales: Float[Tensor, "pairs scales"]
+    log_prior: Float[Tensor, "pairs scales"]
     about: "NoiseMixture"
 
     @classmethod
@@ -360,14 +361,16 @@ class NoiseNodes:
         )
 
     @property
-    def values(self) -> dict[str, Tensor]:
+    def values(self) -> dict[str, Float[Tensor, "laws"]]:
         """``M`` tensors: scale, constant part (R*) and correlation time (t*) of each law."""
         scale = self.log_scales.exp()
         constant, times = scale * self.pairs.floors[:, None], self.pairs.times[:, None].expand_as(scale)
         return {"scale": scale.flatten(), "constant": constant.flatten(), "correlation_time": times.flatten()}
 
-    def log_likelihood(self, batch: ExperimentBatch, prediction: Tensor, pair: int) -> Tensor:
-        """Log likelihood of each experiment under the laws of one pair, ``... x E x T`` to ``S x ... x E``; -inf for NaN."""
+    def log_likelihood(
+        self, batch: ExperimentBatch, prediction: Float[Tensor, "*batch experiments frames"], pair: int
+    ) -> Float[Tensor, "scales *batch experiments"]:
+        """Log likelihood of each experiment under the laws of one pair; -inf for NaN."""
         square, normaliser = self.pairs[pair : pair + 1].terms(batch, prediction)
         scales = self.log_scales[pair].reshape(-1, *[1] * (square.ndim - 1))
         value = -0.5 * square * torch.exp(-2.0 * scales) - normaliser - batch.sizes * scales

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
@@ -30,27 +31,27 @@ class NutsDraws:
     """Draws of one model's posterior.
 
     Args:
-        controls: ``C x n x d`` tensor, draws of the gel's controls ``v`` in ``C`` chains.
-        nuisances: ``C x n x E x 3`` tensor, standardised.
-        potential: ``C x n`` tensor, negative log of likelihood x prior, without the constants of the priors.
+        controls: draws of the gel's controls ``v`` in ``C`` chains.
+        nuisances: standardised.
+        potential: negative log of likelihood x prior, without the constants of the priors.
         divergences: transitions after warm-up whose trajectory left the level set, by a failed solve for example.
     """
 
-    controls: Tensor
-    nuisances: Tensor
-    potential: Tensor
+    controls: Float[Tensor, "chains draws controls"]
+    nuisances: Float[Tensor, "chains draws experiments 3"]
+    potential: Float[Tensor, "chains draws"]
     divergences: int
 
     @property
-    def r_hat(self) -> Tensor:
-        """``d`` tensor: rank-normalised split R-hat (Vehtari et al., Bayesian Anal. 16, 2021); 1 when chains agree."""
+    def r_hat(self) -> Float[Tensor, "controls"]:
+        """Rank-normalised split R-hat (Vehtari et al., Bayesian Anal. 16, 2021); 1 when chains agree."""
         from arviz_stats.base.array import array_stats  # here: where xarray is installed too, it takes a second to import
 
         return torch.as_tensor(array_stats.rhat(self.controls.numpy(), chain_axis=0, draw_axis=1))
 
     @property
-    def effective_samples(self) -> Tensor:
-        """``d`` tensor: bulk effective sample size (same source)."""
+    def effective_samples(self) -> Float[Tensor, "controls"]:
+        """Bulk effective sample size (same source)."""
         from arviz_stats.base.array import array_stats
 
         return torch.as_tensor(array_stats.ess(self.controls.numpy(), chain_axis=0, draw_axis=1))
@@ -61,12 +62,12 @@ class NutsDraws:
         return bool((self.r_hat < _WORST_R_HAT).all()) and bool((self.effective_samples > _LEAST_SAMPLES).all())
 
     @property
-    def mean(self) -> Tensor:
+    def mean(self) -> Float[Tensor, "controls"]:
         """``d`` tensor, posterior mean of ``v``."""
         return self.controls.flatten(0, 1).mean(0)
 
     @property
-    def covariance(self) -> Tensor:
+    def covariance(self) -> Float[Tensor, "controls controls"]:
         """``d x d`` tensor, posterior covariance of ``v``."""
         return torch.cov(self.controls.flatten(0, 1).mT).reshape(self.controls.shape[-1], -1)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
@@ -37,13 +38,13 @@ class Point:
     (2, 2)
     """
 
-    gel: Tensor
-    nuisances: Tensor
+    gel: Float[Tensor, "*batch controls"]
+    nuisances: Float[Tensor, "*batch experiments 3"]
 
     def __getitem__(self, rows: Tensor | slice | int | tuple[Tensor | slice | None, ...]) -> "Point":
         return Point(self.gel[rows], self.nuisances[rows])
 
-    def put(self, rows: Tensor, other: "Point") -> "Point":
+    def put(self, rows: Int[Tensor, "rows"], other: "Point") -> "Point":
         """These points with others in the place of some rows."""
         return Point(self.gel.index_put((rows,), other.gel), self.nuisances.index_put((rows,), other.nuisances))
 
@@ -79,7 +80,7 @@ class Posterior:
         return len(self.prior.names)
 
     @cached_property
-    def uncertain(self) -> Tensor:
+    def uncertain(self) -> Int[Tensor, "columns"]:
         """Columns of nuisances that are uncertain in any experiment."""
         return torch.nonzero((self.batch.nuisance_sds > 0.0).any(0))[:, 0]
 
@@ -90,12 +91,12 @@ class Posterior:
         steps[torch.arange(len(self.uncertain)), 0, self.uncertain] = STEP
         return steps
 
-    def still(self, *batch_shape: int) -> Tensor:
+    def still(self, *batch_shape: int) -> Float[Tensor, "*batch experiments 3"]:
         """Nuisances at their prior means, ``batch_shape x E x 3``."""
         return torch.zeros(*batch_shape, *self.batch.nuisance_sds.shape, dtype=torch.float64)
 
-    def to_si(self, gel: Tensor) -> Tensor:
-        """Shared parameter vectors: ``batch_shape x d`` to ``batch_shape x p``, SI."""
+    def to_si(self, gel: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch parameters"]:
+        """Shared parameter vectors, SI."""
         return self.prior.to_si(gel)
 
     @cached_property
@@ -104,7 +105,7 @@ class Posterior:
         simulator = coarser(self.simulator)
         return self if simulator is self.simulator else replace(self, simulator=simulator)
 
-    def predict(self, point: Point, *, bundled: bool = False) -> Tensor:
+    def predict(self, point: Point, *, bundled: bool = False) -> Float[Tensor, "*batch experiments frames"]:
         """What the camera would see: ``batch_shape x E x T``, R/Rmax; 0 beyond the last frame, NaN where a bubble fails.
 
         Args:
@@ -115,7 +116,9 @@ class Posterior:
         prediction = predict(self.simulator, self.to_si(point.gel), self.batch, shifts, bundled=bundled)
         return torch.where(self.batch.mask, prediction, 0.0)
 
-    def log_joint(self, point: Point, prediction: Tensor | None = None) -> Tensor:
+    def log_joint(
+        self, point: Point, prediction: Float[Tensor, "*batch experiments frames"] | None = None
+    ) -> Float[Tensor, "*batch"]:
         """Log of likelihood times prior, nats, without the constants of the priors; ``-inf`` where a bubble fails.
 
         Args:
@@ -125,7 +128,9 @@ class Posterior:
         likelihood = self.batch.log_likelihood(self.predict(point) if prediction is None else prediction).sum(-1)
         return likelihood - 0.5 * point.gel.square().sum(-1) - 0.5 * point.nuisances.square().sum((-2, -1))
 
-    def neighbourhood(self, point: Point, scale: Tensor | None = None, *, leader: Point | None = None) -> "Neighbourhood":
+    def neighbourhood(
+        self, point: Point, scale: Float[Tensor, "*batch controls directions"] | None = None, *, leader: Point | None = None
+    ) -> "Neighbourhood":
         """Simulate points and the points beside them for finite differences, a bundle each.
 
         Args:
@@ -146,14 +151,20 @@ class Posterior:
         prediction = self.predict(Point(torch.cat(gels, -2), torch.cat(moved, -3)), bundled=True)
         return Neighbourhood(self, point, moves, prediction if leader is None else prediction[..., 1:, :, :])
 
-    def equations(self, point: Point, prediction: Tensor, by_gel: Tensor, by_nuisance: Tensor) -> NormalEquations:
+    def equations(
+        self,
+        point: Point,
+        prediction: Float[Tensor, "*batch experiments frames"],
+        by_gel: Float[Tensor, "*batch experiments frames controls"],
+        by_nuisance: Float[Tensor, "*batch experiments frames 3"],
+    ) -> NormalEquations:
         """Gauss-Newton normal equations from given sensitivities.
 
         Args:
             point: ``batch_shape`` points.
-            prediction: ``batch_shape x E x T`` tensor, there.
-            by_gel: ``batch_shape x E x T x d`` tensor, its sensitivity to the gel.
-            by_nuisance: ``batch_shape x E x T x 3`` tensor, to the nuisances.
+            prediction: there.
+            by_gel: its sensitivity to the gel.
+            by_nuisance: to the nuisances.
         """
         slope = _likelihood_slope(self.batch, prediction)[..., None]
         gradients = (by_gel.mT @ slope)[..., 0].sum(-2), (by_nuisance.mT @ slope)[..., 0]
@@ -173,8 +184,8 @@ class Neighbourhood:
     Args:
         posterior: whose.
         point: ``batch_shape`` points.
-        moves: ``batch_shape x N x d`` tensor, by which the gel was moved.
-        prediction: ``batch_shape x (1 + N + S) x E x T`` tensor: of the point, of gels moved, of each uncertain nuisance moved.
+        moves: by which the gel was moved.
+        prediction: of the point, of gels moved, of each uncertain nuisance moved.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -190,8 +201,8 @@ class Neighbourhood:
 
     posterior: Posterior
     point: Point
-    moves: Tensor
-    prediction: Tensor
+    moves: Float[Tensor, "*batch directions controls"]
+    prediction: Float[Tensor, "*batch bundle experiments frames"]
 
     @staticmethod
     def stack(parts: "Sequence[Neighbourhood]") -> "Neighbourhood":
@@ -205,17 +216,19 @@ class Neighbourhood:
         return replace(self, point=self.point[row], moves=self.moves[row], prediction=self.prediction[row])
 
     @property
-    def centre(self) -> Tensor:
+    def centre(self) -> Float[Tensor, "*batch experiments frames"]:
         """``batch_shape x E x T`` tensor, the prediction at the points."""
         return self.prediction[..., 0, :, :]
 
     @property
-    def log_joint(self) -> Tensor:
+    def log_joint(self) -> Float[Tensor, "*batch"]:
         """``batch_shape`` tensor, at the points."""
         return self.posterior.log_joint(self.point, self.centre)
 
     @cached_property
-    def slopes(self) -> tuple[Tensor, Tensor]:
+    def slopes(
+        self,
+    ) -> tuple[Float[Tensor, "*batch experiments frames controls"], Float[Tensor, "*batch experiments frames 3"]]:
         """Sensitivities of the prediction to the gel (``batch_shape x E x T x d``) and nuisances (``batch_shape x E x T x 3``).
 
         Neighbours that failed give a slope of zero.

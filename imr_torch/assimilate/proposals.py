@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.assimilate.importance import kish
@@ -26,27 +27,27 @@ class Kernels:
 
     Args:
         centres: ``J x d`` tensor.
-        weights: ``J`` tensor of their probabilities.
-        chols: ``J x d x d`` lower triangular tensor of their scales.
-        mean: ``d`` tensor, mean of the posterior that the proposal is made for.
-        chol: ``d x d`` tensor, Cholesky factor of the covariance of that posterior.
+        weights: their probabilities.
+        chols: their scales.
+        mean: mean of the posterior that the proposal is made for.
+        chol: Cholesky factor of the covariance of that posterior.
         precisions: tensor ``d x d`` for each of the first centres, of that posterior about them; None where not known.
     """
 
-    centres: Tensor
-    weights: Tensor
-    chols: Tensor
-    mean: Tensor
-    chol: Tensor
-    precisions: Tensor | None = None
+    centres: Float[Tensor, "kernels controls"]
+    weights: Float[Tensor, "kernels"]
+    chols: Float[Tensor, "kernels controls controls"]
+    mean: Float[Tensor, "controls"]
+    chol: Float[Tensor, "controls controls"]
+    precisions: Float[Tensor, "known controls controls"] | None = None
 
     @classmethod
-    def about(cls, mean: Tensor, chol: Tensor) -> "Kernels":
+    def about(cls, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]) -> "Kernels":
         """A single kernel about ``mean`` (``d``) with scale ``chol`` (``d x d``)."""
         return cls(mean[None], torch.ones(1, dtype=mean.dtype), chol[None], mean, chol)
 
     @classmethod
-    def through(cls, points: Tensor, log_weights: Tensor) -> "Kernels":
+    def through(cls, points: Float[Tensor, "draws controls"], log_weights: Float[Tensor, "draws"]) -> "Kernels":
         """Kernels on weighed points (``n x d``, ``n``), of the width of Silverman's rule (1986, equation 4.14).
 
         One wide kernel about them all covers places without a point. Weights with an effective sample size below ten a
@@ -75,7 +76,7 @@ class Kernels:
             precisions=self.precisions,
         )
 
-    def precisions_at(self, points: Tensor) -> Tensor | None:
+    def precisions_at(self, points: Float[Tensor, "draws controls"]) -> Float[Tensor, "draws controls controls"] | None:
         """Of the posterior about ``n x d`` points, ``n x d x d``, as about the nearest centre; None where not known."""
         if self.precisions is None:
             return None
@@ -84,13 +85,13 @@ class Kernels:
         gaps = torch.einsum("jab,jnb->jna", whiten, points - centres[:, None])
         return self.precisions[gaps.square().sum(-1).argmin(0)]
 
-    def draw(self, count: int, source: torch.Generator) -> Tensor:
+    def draw(self, count: int, source: torch.Generator) -> Float[Tensor, "count controls"]:
         """``count x d`` independent draws."""
         deviation = student_draws((count, self.centres.shape[1]), _FREEDOM, source)
         kernel = torch.multinomial(self.weights, count, replacement=True, generator=source)
         return self.centres[kernel] + (self.chols[kernel] @ deviation[..., None])[..., 0]
 
-    def log_prob(self, points: Tensor) -> Tensor:
+    def log_prob(self, points: Float[Tensor, "draws controls"]) -> Float[Tensor, "draws"]:
         """Log density at ``n x d`` points: ``n`` tensor."""
         heights = self.weights.log() - self.chols.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         whiten = torch.linalg.inv(self.chols)
@@ -101,14 +102,14 @@ class Kernels:
         return torch.cat(rows)
 
 
-def student_draws(shape: Sequence[int], freedom: int, source: torch.Generator) -> Tensor:
+def student_draws(shape: Sequence[int], freedom: int, source: torch.Generator) -> Float[Tensor, "*shape"]:
     """Independent draws of the standard multivariate Student t, in as many dimensions as the last of ``shape``."""
     normal = torch.randn(*shape, generator=source, dtype=torch.float64)
     squares = torch.randn(*shape[:-1], freedom, generator=source, dtype=torch.float64).square().sum(-1, keepdim=True)
     return normal * (freedom / squares).sqrt()
 
 
-def student_log_prob(square: Tensor, size: int | Tensor, freedom: int) -> Tensor:
+def student_log_prob(square: Float[Tensor, "*batch"], size: int | Real[Tensor, "..."], freedom: int) -> Float[Tensor, "*batch"]:
     """Log density of the standard multivariate Student t in ``size`` dimensions at points of a squared length."""
     size = torch.as_tensor(size, dtype=square.dtype)
     half = 0.5 * (freedom + size)
@@ -116,7 +117,9 @@ def student_log_prob(square: Tensor, size: int | Tensor, freedom: int) -> Tensor
     return constant - half * torch.log1p(square / freedom)
 
 
-def mixture_log_prob(proposals: Sequence[Kernels], counts: Sequence[int], points: Tensor) -> Tensor:
+def mixture_log_prob(
+    proposals: Sequence[Kernels], counts: Sequence[int], points: Float[Tensor, "draws controls"]
+) -> Float[Tensor, "draws"]:
     """Log density of all proposals together, each in proportion to its draws: ``n`` tensor at ``n x d`` points."""
     shares = torch.tensor(counts, dtype=torch.float64).log() - math.log(sum(counts))
     return torch.logsumexp(torch.stack([p.log_prob(points) for p in proposals]) + shares[:, None], dim=0)

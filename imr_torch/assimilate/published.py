@@ -11,6 +11,7 @@ mean, with the noise of one; its misfit is divided by the number of frames; and 
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.errors import ConvergenceError, InputDataError
@@ -59,8 +60,8 @@ class PublishedFit:
 
     Args:
         prior: belief it was drawn from.
-        ensembles: ``n x N x d`` tensor of controls ``z`` of ``prior``, before each iteration, and at the end.
-        prediction: ``N x T`` tensor, R/Rmax of the last ensemble that was simulated; NaN where a solve failed.
+        ensembles: controls ``z`` of ``prior``, before each iteration, and at the end.
+        prediction: R/Rmax of the last ensemble that was simulated; NaN where a solve failed.
 
     >>> import torch
     >>> from imr_torch import wide_prior
@@ -73,8 +74,8 @@ class PublishedFit:
     """
 
     prior: ModelBelief
-    ensembles: Tensor
-    prediction: Tensor
+    ensembles: Float[Tensor, "iterations members controls"]
+    prediction: Float[Tensor, "members frames"]
 
     @property
     def posterior(self) -> ModelBelief:

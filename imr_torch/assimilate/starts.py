@@ -6,6 +6,7 @@ Starts of a model are apart from each other, so that their agreement is evidence
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
@@ -26,7 +27,11 @@ def scouted(posterior: Posterior, options: SearchOptions, source: torch.Generato
     return points[_distinct(posterior.prior.model, draws, -posterior.coarse.log_joint(points), options.starts)]
 
 
-def given(posteriors: Sequence[Posterior], gels: Sequence[Tensor], nuisances: Sequence[Tensor] | None) -> list[Point]:
+def given(
+    posteriors: Sequence[Posterior],
+    gels: Sequence[Float[Tensor, "starts _"]],
+    nuisances: Sequence[Float[Tensor, "experiments 3"]] | None,
+) -> list[Point]:
     """Given gels, two rows or more of each model; all those of a model begin with the same nuisances, zero by default.
 
     Raises:
@@ -49,7 +54,7 @@ def beside(posterior: Posterior, fit: ModelFit, options: SearchOptions, source: 
     return Point(torch.where(failed[:, None], fit.mean, point.gel), point.nuisances)
 
 
-def around(chol: Tensor, source: torch.Generator, away: float) -> Tensor:
+def around(chol: Float[Tensor, "controls controls"], source: torch.Generator, away: float) -> Float[Tensor, "controls"]:
     """A ``d`` perturbation, ``away`` posterior standard deviations (``chol``, ``d x d``) or, if less, a quarter of the prior's.
 
     Where the data are sharp, a step on the prior's scale would lead to another local minimum.

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Real
 from scipy import stats
 from torch import Tensor
 
@@ -228,14 +229,16 @@ def reliability(
     return Reliability(stated_, share, lows, highs, counts, error, float(low), float(high), float(np.mean(chance)), tail)
 
 
-def rank_correlation(expected: Tensor, realised: Tensor, *, resamples: int = 1000, seed: int = 0) -> tuple[float, float]:
+def rank_correlation(
+    expected: Real[Tensor, "designs"], realised: Real[Tensor, "designs repeats"], *, resamples: int = 1000, seed: int = 0
+) -> tuple[float, float]:
     """Spearman correlation over designs of an expectation with the mean of what came, and its standard error.
 
     The error is that of a bootstrap over repeats, which are the same gels at all designs and so are drawn together.
 
     Args:
-        expected: ``n`` tensor, one value a design.
-        realised: ``n x r`` tensor, repeats of each design.
+        expected: one value a design.
+        realised: repeats of each design.
         resamples: of the bootstrap.
         seed: of them.
 

@@ -6,6 +6,7 @@ from typing import get_args
 import torch
 from botorch.acquisition import AcquisitionFunction
 from botorch.utils.transforms import t_batch_mode_transform
+from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.design.eig import expected_information_gain
@@ -59,7 +60,7 @@ class ExpectedInformationGain(AcquisitionFunction):
         target: Target = "both",
         plan: Plan | None = None,
         space: DesignSpace | None = None,
-        X_pending: Tensor | None = None,
+        X_pending: Real[Tensor, "pending 2"] | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__(model=None)  # type: ignore[arg-type]  # the belief is the model
@@ -71,7 +72,7 @@ class ExpectedInformationGain(AcquisitionFunction):
         self.plan, self.space = plan or Plan(), space or DesignSpace()
         self.set_X_pending(X_pending)
 
-    def set_X_pending(self, X_pending: Tensor | None = None) -> None:
+    def set_X_pending(self, X_pending: Real[Tensor, "pending 2"] | None = None) -> None:
         """Designs (``m x 2``) that will be shot besides those asked about, or None.
 
         Raises:
@@ -81,13 +82,13 @@ class ExpectedInformationGain(AcquisitionFunction):
             raise ShapeError(f"X_pending has shape {tuple(X_pending.shape)}; expected m x 2 with (We, R_inf*).")
         super().set_X_pending(X_pending)
 
-    def with_pending(self, X_pending: Tensor | None) -> "ExpectedInformationGain":
+    def with_pending(self, X_pending: Real[Tensor, "pending 2"] | None) -> "ExpectedInformationGain":
         """A copy with other pending designs (``m x 2`` or None); this one stays as it is."""
         other = copy(self)
         other.set_X_pending(X_pending)
         return other
 
-    def estimate(self, designs: Tensor, *, seed: int | None = None) -> InformationGain:
+    def estimate(self, designs: Real[Tensor, "designs 2"], *, seed: int | None = None) -> InformationGain:
         """The joint gain of designs and pending designs, with its Monte Carlo error.
 
         Args:
@@ -104,7 +105,7 @@ class ExpectedInformationGain(AcquisitionFunction):
         """The joint gain of the pending designs alone, with the draws of :meth:`estimate`; None if none is pending."""
         return None if self.X_pending is None else self._joint(self.X_pending[:0], seed)
 
-    def estimate_each(self, designs: Tensor, *, seed: int | None = None) -> list[InformationGain]:
+    def estimate_each(self, designs: Real[Tensor, "designs 2"], *, seed: int | None = None) -> list[InformationGain]:
         """The gains of ``n x 2`` designs, each with the pending ones and not with the others, from common draws.
 
         Raises:
@@ -126,11 +127,11 @@ class ExpectedInformationGain(AcquisitionFunction):
         return gain.only(self.target)
 
     @t_batch_mode_transform()  # type: ignore[arg-type]  # its annotation wants AcquisitionFunction for self
-    def forward(self, X: Tensor) -> Tensor:  # type: ignore[override]
+    def forward(self, X: Real[Tensor, "*batch designs 2"]) -> Float[Tensor, "*batch"]:  # type: ignore[override]
         """Gain of each batch of designs.
 
         Args:
-            X: ``batch_shape x q x 2`` tensor, (We, R_inf*); ``q x 2`` is one batch.
+            X: (We, R_inf*); ``q x 2`` is one batch.
 
         Returns:
             ``batch_shape`` tensor, nats; NaN where too many bubbles failed.

@@ -1,12 +1,17 @@
 """What is known exactly about a linear-Gaussian experiment, by dense algebra: the measure of every estimator."""
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.errors import ShapeError
 
 
-def linear_gaussian_gain(sensitivity: Tensor, noise: Tensor, prior: Tensor | None = None) -> Tensor:
+def linear_gaussian_gain(
+    sensitivity: Float[Tensor, "*#batch data controls"],
+    noise: Float[Tensor, "*#batch data data"],
+    prior: Float[Tensor, "*#batch controls controls"] | None = None,
+) -> Float[Tensor, "*#batch"]:
     """Mutual information of ``theta ~ N(., prior)`` and ``y = A theta + e`` with ``e ~ N(0, noise)``.
 
     ``1/2 log det(noise + A prior A^T) - 1/2 log det(noise)`` (Lindley, Ann. Math. Stat. 27, 1956; Chaloner & Verdinelli,
@@ -14,8 +19,8 @@ def linear_gaussian_gain(sensitivity: Tensor, noise: Tensor, prior: Tensor | Non
 
     Args:
         sensitivity: ``... x m x d`` tensor ``A``; stack the rows of experiments shot together.
-        noise: ``... x m x m`` tensor, covariance.
-        prior: ``... x d x d`` tensor, covariance; the identity when not given.
+        noise: covariance.
+        prior: covariance; the identity when not given.
 
     Returns:
         ``...`` tensor, nats.

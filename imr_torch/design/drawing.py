@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.design.likelihood import Data, observe
@@ -23,23 +24,23 @@ class Drawn:
     """
 
     parts: tuple[Response, ...]
-    controls: tuple[Tensor, ...]
-    orders: tuple[Tensor, ...]
+    controls: tuple[Float[Tensor, "draws _"], ...]
+    orders: tuple[Int[Tensor, "draws"], ...]
     data: Data
     rows: tuple[slice, ...]
 
-    def outside(self, model: int) -> Tensor:
+    def outside(self, model: int) -> Int[Tensor, "rows"]:
         """Rows of data that are of other models."""
         rows = torch.arange(len(self.data))
         return torch.cat((rows[: self.rows[model].start], rows[self.rows[model].stop :]))
 
 
-def normal_controls(shot: Shot, draws: int, source: torch.Generator) -> list[Tensor]:
+def normal_controls(shot: Shot, draws: int, source: torch.Generator) -> list[Float[Tensor, "draws _"]]:
     """Draws of the Gaussian of each model, ``draws x d``."""
     return [torch.randn(draws, len(part.names), generator=source, dtype=torch.float64) for part in shot.belief.models]
 
 
-def cloud_controls(shot: Shot, draws: int, source: torch.Generator) -> list[Tensor]:
+def cloud_controls(shot: Shot, draws: int, source: torch.Generator) -> list[Float[Tensor, "draws _"]]:
     """Draws of each model, from its cloud if it has one."""
     drawn = normal_controls(shot, draws, source)
     for i, part in enumerate(shot.belief.models):
@@ -51,7 +52,7 @@ def cloud_controls(shot: Shot, draws: int, source: torch.Generator) -> list[Tens
     return drawn
 
 
-def draw(shot: Shot, controls: Sequence[Tensor], source: torch.Generator) -> Drawn:
+def draw(shot: Shot, controls: Sequence[Float[Tensor, "_ _"]], source: torch.Generator) -> Drawn:
     """Simulate the gels of each model at controls, and a datum of each that could be simulated."""
     responses = [respond(shot, part, v) for part, v in zip(shot.belief.models, controls, strict=True)]
     parts, ordered, orders, data, rows, first = [], [], [], [], [], 0
@@ -71,6 +72,6 @@ def model_weights(shot: Shot) -> list[float]:
     return shot.belief.log_probabilities.exp().tolist()
 
 
-def mixture(logs: Sequence[Tensor], shot: Shot) -> Tensor:
+def mixture(logs: Sequence[Float[Tensor, "data"]], shot: Shot) -> Float[Tensor, "data"]:
     """Log evidence of each datum over all models, from that under each."""
     return torch.logsumexp(torch.stack(list(logs)) + shot.belief.log_probabilities[:, None], dim=0)

@@ -12,6 +12,7 @@ and several designs at once are stacked, so their gain is the joint one.
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Real
 from torch import Tensor
 
 from imr_torch.design.estimator import InformationEstimator
@@ -28,7 +29,7 @@ from imr_torch.simulate import Simulator
 
 def expected_information_gain(
     belief: Belief,
-    designs: Tensor,
+    designs: Real[Tensor, "designs 2"],
     simulator: Simulator,
     plan: Plan,
     *,
@@ -39,7 +40,7 @@ def expected_information_gain(
 
     Args:
         belief: what is thought of the gel now; models less probable than 1e-4 are left out.
-        designs: ``q x 2`` tensor, (We, R_inf*).
+        designs: (We, R_inf*).
         simulator: makes the bubbles.
         plan: how they will be observed.
         estimator: how the gain is estimated; ``Laplace()`` if None.
@@ -59,7 +60,7 @@ def expected_information_gain(
 
 def gains_of_each(
     belief: Belief,
-    designs: Tensor,
+    designs: Real[Tensor, "designs 2"],
     simulator: Simulator,
     plan: Plan,
     *,
@@ -72,7 +73,7 @@ def gains_of_each(
 
     Args:
         belief: as there.
-        designs: ``n x 2`` tensor, (We, R_inf*).
+        designs: (We, R_inf*).
         simulator: as there.
         plan: as there.
         estimator: as there.
@@ -102,7 +103,7 @@ class Bracket:
 
 def information_bracket(
     belief: Belief,
-    designs: Tensor,
+    designs: Real[Tensor, "designs 2"],
     simulator: Simulator,
     plan: Plan,
     *,
@@ -114,7 +115,7 @@ def information_bracket(
 
     Args:
         belief: what is thought of the gel now.
-        designs: ``q x 2`` tensor, (We, R_inf*).
+        designs: (We, R_inf*).
         simulator: makes the bubbles.
         plan: how they will be observed.
         lower: estimator whose expected value is below the gain; ``AdaptiveContrastive()`` if None, which is tight where

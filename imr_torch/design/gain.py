@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 _ENOUGH = 0.5  # share of draws that must be simulated for an estimate to count
@@ -79,17 +80,17 @@ class Terms:
 
     Args:
         weight: probability of the model.
-        parameters: ``n`` tensor, gain about the parameters from each datum.
+        parameters: gain about the parameters from each datum.
         model: ``m`` tensor with ``m <= n``, gain about the model from the first ``m`` data.
-        order: ``drawn`` tensor of the numbers of all draws, those that gave a datum first and in the order of the data.
+        order: the numbers of all draws, those that gave a datum first and in the order of the data.
         control: ``drawn`` tensor with mean zero in that order, added to the parameters' gain to reduce its variance.
     """
 
     weight: float
-    parameters: Tensor
-    model: Tensor
-    order: Tensor
-    control: Tensor | None = None
+    parameters: Float[Tensor, "data"]
+    model: Float[Tensor, "shown"]
+    order: Int[Tensor, "drawn"]
+    control: Float[Tensor, "drawn"] | None = None
 
     def mean(self) -> tuple[float, float]:
         """Mean gain about parameters and about the model; 0 without data."""
@@ -98,8 +99,8 @@ class Terms:
         control = 0.0 if self.control is None else float(self.control.mean())
         return float(self.parameters.mean()) + control, float(self.model.mean())
 
-    def influence(self) -> Tensor:
-        """``drawn x 2`` tensor: influence of each draw, in the order drawn, on the weighted means."""
+    def influence(self) -> Float[Tensor, "drawn 2"]:
+        """Influence of each draw, in the order drawn, on the weighted means."""
         count, found = len(self.order), torch.zeros(len(self.order), 2, dtype=torch.float64)
         if self.control is None:
             found[self.order[: len(self.parameters)], 0] = _deviations(self.parameters)
@@ -120,13 +121,17 @@ def _deviations(values: Tensor) -> Tensor:
 
 
 def summarise(
-    terms: Sequence[Terms], *, shared: Tensor | None = None, bias: float | None = None, effective: float | None = None
+    terms: Sequence[Terms],
+    *,
+    shared: Float[Tensor, "samples 2"] | None = None,
+    bias: float | None = None,
+    effective: float | None = None,
 ) -> InformationGain:
     """The gain of independent strata, one per model.
 
     Args:
         terms: one per model.
-        shared: ``k x 2`` tensor, influence of samples that all data share.
+        shared: influence of samples that all data share.
         bias: of the whole.
         effective: inner draws that carry an evidence.
     """
@@ -138,7 +143,7 @@ def summarise(
     return with_influence(InformationGain(parameters, model, 0.0, counted, drawn, bias, effective), torch.cat(parts))
 
 
-def with_influence(gain: InformationGain, influence: Tensor) -> InformationGain:
+def with_influence(gain: InformationGain, influence: Float[Tensor, "draws 2"]) -> InformationGain:
     """The gain with the influence of each draw (``n x 2``) and the variances that follow from it."""
     of_parameters, of_model = influence.square().sum(0).tolist()
     known = bool(torch.isfinite(influence).all())
@@ -156,11 +161,11 @@ class ErrorParts:
     """Monte Carlo errors of ``n`` gains, taken apart.
 
     Args:
-        own: ``n`` tensor of variances such that two of them sum, on average over pairs, to the variance of a difference.
+        own: variances such that two of them sum, on average over pairs, to the variance of a difference.
         common: variance of the mean of the gains, which shifts all of them alike.
     """
 
-    own: Tensor
+    own: Float[Tensor, "designs"]
     common: float
 
 

@@ -10,6 +10,7 @@ Constants common to all gels and models are left out of log densities.
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.design.plan import Plan
@@ -23,12 +24,12 @@ class Data:
     """Mean curves of planned experiments.
 
     Args:
-        radius: ``n x q x T`` tensor, R/Rmax.
-        window: ``n x q x T`` boolean tensor, frames that will be assimilated.
+        radius: R/Rmax.
+        window: frames that will be assimilated.
     """
 
-    radius: Tensor
-    window: Tensor
+    radius: Float[Tensor, "*draws designs frames"]
+    window: Bool[Tensor, "*draws designs frames"]
 
     def __len__(self) -> int:
         return len(self.radius)
@@ -81,13 +82,18 @@ def _gram(columns: Tensor, by_nuisance: Tensor, at: Tensor, window: Tensor, plan
     return gram - (shared.mT @ shared).sum(-3), log_det
 
 
-def log_likelihood(data: Data, radius: Tensor, by_nuisance: Tensor, plan: Plan) -> Tensor:
+def log_likelihood(
+    data: Data,
+    radius: Float[Tensor, "*#batch designs frames"],
+    by_nuisance: Float[Tensor, "*#batch designs frames nuisances"],
+    plan: Plan,
+) -> Float[Tensor, "*#batch"]:
     """Log density of data given gels that show ``radius``; all shapes ``... x q x T`` broadcast, the result is ``...``."""
     square, log_det = _gram((data.radius - radius)[..., None], by_nuisance, radius, data.window, plan)
     return -0.5 * (square[..., 0, 0] + log_det)
 
 
-def pairwise(data: Data, gels: Response, plan: Plan) -> Tensor:
+def pairwise(data: Data, gels: Response, plan: Plan) -> Float[Tensor, "data gels"]:
     """``n x m`` log densities of every datum given every gel."""
     per_row = gels.radius.numel() * (1 + gels.by_nuisance.shape[-1])
     rows = max(1, _BLOCK // max(1, per_row))
@@ -102,24 +108,24 @@ class Linear:
     """Linear-Gaussian inference from each datum about a gel of its own.
 
     Args:
-        log_likelihood: ``n`` tensor, of the datum given the gel itself.
-        log_evidence: ``n`` tensor, of the datum under the linearised model.
-        mean: ``n x d`` tensor, posterior mean.
-        chol: ``n x d x d`` tensor, Cholesky factor of the posterior precision.
+        log_likelihood: of the datum given the gel itself.
+        log_evidence: of the datum under the linearised model.
+        mean: posterior mean.
+        chol: Cholesky factor of the posterior precision.
     """
 
-    log_likelihood: Tensor
-    log_evidence: Tensor
-    mean: Tensor
-    chol: Tensor
+    log_likelihood: Float[Tensor, "draws"]
+    log_evidence: Float[Tensor, "draws"]
+    mean: Float[Tensor, "draws controls"]
+    chol: Float[Tensor, "draws controls controls"]
 
     @property
-    def information(self) -> Tensor:
+    def information(self) -> Float[Tensor, "draws"]:
         """``n`` tensor: ``1/2 log det(1 + J^T C^-1 J)``."""
         return self.chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
     @property
-    def averaging(self) -> Tensor:
+    def averaging(self) -> Float[Tensor, "draws controls controls"]:
         """``n x d x d`` tensor ``G (1 + G)^-1`` with ``G = J^T C^-1 J``: share of the posterior that is from the data."""
         eye = torch.eye(self.chol.shape[-1], dtype=self.chol.dtype)
         return eye - torch.cholesky_inverse(self.chol)

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.design.estimator import InformationEstimator, check_at_least
@@ -25,11 +26,11 @@ class Simulated:
 
     Args:
         gels: the gels.
-        order: ``n`` tensor: the numbers of all draws, those that could be simulated first.
+        order: the numbers of all draws, those that could be simulated first.
     """
 
     gels: Response
-    order: Tensor
+    order: Int[Tensor, "drawn"]
 
 
 def draw_gels(shot: Shot, counts: list[int], source: torch.Generator) -> list[Simulated]:
@@ -48,17 +49,17 @@ class Outer:
     """Data of all models, the density of each given its own gel, which model each is of, and how much each counts."""
 
     data: Data
-    likelihood: Tensor
-    model: Tensor
-    share: Tensor
+    likelihood: Float[Tensor, "data"]
+    model: Int[Tensor, "data"]
+    share: Float[Tensor, "data"]
 
 
-def outer_data(parts: list[Simulated], weights: Tensor, shot: Shot, source: torch.Generator) -> Outer:
+def outer_data(parts: list[Simulated], weights: Float[Tensor, "models"], shot: Shot, source: torch.Generator) -> Outer:
     """A datum of each gel.
 
     Args:
         parts: gels of each model.
-        weights: ``m`` tensor, what the data of each model count for together.
+        weights: what the data of each model count for together.
         shot: designs and how they are observed.
         source: of nuisances and noise.
     """
@@ -76,19 +77,19 @@ class Evidence:
     """Inner sums of all data.
 
     Args:
-        own: ``N`` tensor, log evidence under the datum's own model.
-        total: ``N`` tensor, over all models.
+        own: log evidence under the datum's own model.
+        total: over all models.
         pulls: per model an ``m x 2`` tensor, what each inner sample takes from the mean gain about (parameters, model).
-        effective: ``N`` tensor, Kish effective number of inner samples.
+        effective: Kish effective number of inner samples.
     """
 
-    own: Tensor
-    total: Tensor
-    pulls: list[Tensor]
-    effective: Tensor
+    own: Float[Tensor, "data"]
+    total: Float[Tensor, "data"]
+    pulls: list[Float[Tensor, "_ 2"]]
+    effective: Float[Tensor, "data"]
 
 
-def inner_sums(logs: list[Tensor], log_weights: Tensor, outer: Outer) -> Evidence:
+def inner_sums(logs: list[Float[Tensor, "data _"]], log_weights: Float[Tensor, "models"], outer: Outer) -> Evidence:
     """Sums over inner samples.
 
     Args:
@@ -116,7 +117,7 @@ def _log_mean(block: Tensor) -> Tensor:
     return torch.logsumexp(block, 1) - math.log(block.shape[1])
 
 
-def scaled_deviations(pulls: Tensor) -> Tensor:
+def scaled_deviations(pulls: Float[Tensor, "inner 2"]) -> Float[Tensor, "inner 2"]:
     """Minus the deviations of ``m x 2`` pulls from their mean: the influence of inner samples on the gain."""
     count = len(pulls)
     return (pulls.mean(0) - pulls) * (count / (count - 1)) ** 0.5 if count > 1 else torch.zeros_like(pulls)

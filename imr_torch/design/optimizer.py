@@ -24,6 +24,7 @@ from botorch.models.utils.gpytorch_modules import get_matern_kernel_with_gamma_p
 from botorch.optim import optimize_acqf, optimize_acqf_discrete, optimize_acqf_mixed
 from botorch.utils.sampling import draw_sobol_normal_samples, draw_sobol_samples, manual_seed
 from gpytorch.mlls import ExactMarginalLogLikelihood
+from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.design.space import DesignSpace
@@ -74,12 +75,12 @@ class Recommendation:
     """The design to shoot.
 
     Args:
-        design: ``2`` tensor, (We, R_inf*).
+        design: (We, R_inf*).
         mean: posterior mean of the utility there (over the scatter of what is achieved; per cost if there is one).
         sd: its posterior standard deviation.
     """
 
-    design: Tensor
+    design: Real[Tensor, "2"]
     mean: float
     sd: float
 
@@ -108,12 +109,12 @@ class DesignOptimizer:
         self.train_Y = torch.empty(0, 1, dtype=torch.float64)
         self.train_Yvar = torch.empty(0, 1, dtype=torch.float64)
 
-    def ask(self, q: int = 1, *, pending: Tensor | None = None) -> Tensor:
+    def ask(self, q: int = 1, *, pending: Real[Tensor, "pending 2"] | None = None) -> Float[Tensor, "designs 2"]:
         """The next ``q x 2`` designs to evaluate: Sobol points first, then maxima of the acquisition.
 
         Args:
             q: how many.
-            pending: ``k x 2`` tensor of designs that were asked and are not told, because they are still being
+            pending: designs that were asked and are not told, because they are still being
                 evaluated or because their evaluation failed.
         """
         waiting = torch.empty(0, 2, dtype=torch.float64) if pending is None else pending
@@ -127,13 +128,13 @@ class DesignOptimizer:
             warnings.filterwarnings("ignore", "Optimization failed in", RuntimeWarning)  # BoTorch tries again
             return self._maximise(self._acquisition(waiting), q, avoid=waiting)
 
-    def tell(self, X: Tensor, Y: Tensor, Yvar: Tensor) -> None:
+    def tell(self, X: Real[Tensor, "designs 2"], Y: Real[Tensor, "designs 1"], Yvar: Real[Tensor, "designs 1"]) -> None:
         """Record utilities.
 
         Args:
-            X: ``n x 2`` tensor of designs.
-            Y: ``n x 1`` tensor of utilities, not divided by costs.
-            Yvar: ``n x 1`` tensor of their variances (not standard deviations).
+            X: designs.
+            Y: utilities, not divided by costs.
+            Yvar: their variances (not standard deviations).
 
         Raises:
             InputDataError: for a value that is not finite, a variance that is not positive, or a design outside.

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
@@ -19,14 +20,14 @@ class Plan:
     """How a planned experiment will be observed.
 
     Args:
-        times: ``n_t`` tensor of dimensionless frame times.
+        times: dimensionless frame times.
         repeats: curves per design.
         noise: observation noise of one curve.
         nuisance: errors of the measured design and clock, marginalised.
         collapses: collapses in the window that will be assimilated; None for all frames.
     """
 
-    times: Tensor = field(default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64))
+    times: Float[Tensor, "frames"] = field(default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64))
     repeats: int = 1
     noise: Noise = field(default_factory=Noise)
     nuisance: Nuisance = field(default_factory=Nuisance)
@@ -39,7 +40,7 @@ class Plan:
             raise InputDataError(f"Plan.collapses is {self.collapses}; expected at least 1, or None for all frames.")
 
     @cached_property
-    def decorrelation(self) -> Tensor | None:
+    def decorrelation(self) -> Float[Tensor, "frames frames"] | None:
         """``n_t x n_t`` inverse Cholesky factor of the frames' correlation; None for independent frames.
 
         It is lower triangular: what it makes of the first frames does not depend on later ones, so a window can be cut
@@ -48,7 +49,7 @@ class Plan:
         factor = self.noise.decorrelation(self.times[None], torch.ones(1, len(self.times), dtype=torch.bool))
         return None if factor is None else factor[0]
 
-    def window(self, radius: Tensor) -> Tensor:
+    def window(self, radius: Float[Tensor, "*batch frames"]) -> Bool[Tensor, "*batch frames"]:
         """Frames of each curve (``... x n_t``) up to the last collapse of the window: a boolean tensor of that shape."""
         if self.collapses is None:
             return torch.ones_like(radius, dtype=torch.bool)

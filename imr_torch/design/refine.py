@@ -3,6 +3,7 @@
 import math
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.design.likelihood import Data, Linear, infer
@@ -16,7 +17,9 @@ _START_BEHIND = 150.0  # nats below the floor at which not even a first step is 
 _SHORTEST = 0.01  # shorter steps are not tried
 
 
-def best_starts(data: Data, gels: Response, shot: Shot, *, not_own: bool = False) -> tuple[Tensor, Tensor]:
+def best_starts(
+    data: Data, gels: Response, shot: Shot, *, not_own: bool = False
+) -> tuple[Int[Tensor, "data"], Float[Tensor, "data"]]:
     """The gel to start a refinement of each datum from, and the evidence linearised there.
 
     It is the one of largest linearised evidence, less a penalty for the distance to the linearised optimum, which would have
@@ -49,7 +52,7 @@ def refine(
     *,
     close: float = 0.1,
     both_lengths: bool = True,
-    floor: Tensor | None = None,
+    floor: Float[Tensor, "data"] | None = None,
 ) -> Response:
     """Gauss-Newton steps towards the maximum of the posterior density of each datum.
 
@@ -62,7 +65,7 @@ def refine(
         close: distance of the linearised optimum, in posterior standard deviations, at which a datum is left alone.
         both_lengths: whether a shorter step is tried beside the whole one; if not, it is tried the next time, where the whole
             one failed.
-        floor: ``n`` tensor: data whose linearised evidence is below are left alone, at the start if it is far below.
+        floor: data whose linearised evidence is below are left alone, at the start if it is far below.
     """
     length = torch.ones(len(data), 1, dtype=torch.float64)
     lengths = (1.0, _SHORTER) if both_lengths else (1.0,)
@@ -89,6 +92,6 @@ def refine(
     return at
 
 
-def log_posterior(linear: Linear, at: Response) -> Tensor:
+def log_posterior(linear: Linear, at: Response) -> Float[Tensor, "draws"]:
     """``n`` log densities of each datum and of its gel."""
     return linear.log_likelihood - 0.5 * at.controls.square().sum(-1)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from imr_torch.design.plan import Plan
@@ -25,13 +26,13 @@ class Shot:
 
     Args:
         belief: what is thought of the gel now; models of negligible probability are left out.
-        designs: ``q x 2`` tensor, (We, R_inf*).
+        designs: (We, R_inf*).
         simulator: makes the bubbles.
         plan: how they are observed.
     """
 
     belief: Belief
-    designs: Tensor
+    designs: Float[Tensor, "designs 2"]
     simulator: Simulator
     plan: Plan
 
@@ -52,15 +53,15 @@ class Response:
 
     Args:
         controls: ``n x d`` tensor.
-        radius: ``n x q x T`` tensor, R/Rmax.
-        by_gel: ``n x q x T x d`` tensor, sensitivity to the controls; ``d = 0`` when not asked for.
-        by_nuisance: ``n x q x T x k`` tensor, per standard deviation of the nuisances that are not known exactly.
+        radius: R/Rmax.
+        by_gel: sensitivity to the controls; ``d = 0`` when not asked for.
+        by_nuisance: per standard deviation of the nuisances that are not known exactly.
     """
 
-    controls: Tensor
-    radius: Tensor
-    by_gel: Tensor
-    by_nuisance: Tensor
+    controls: Float[Tensor, "draws controls"]
+    radius: Float[Tensor, "draws designs frames"]
+    by_gel: Float[Tensor, "draws designs frames slopes"]
+    by_nuisance: Float[Tensor, "draws designs frames nuisances"]
 
     def __len__(self) -> int:
         return len(self.controls)
@@ -74,23 +75,23 @@ class Response:
         return Response(self.controls, self.radius[:, one], self.by_gel[:, one], self.by_nuisance[:, one])
 
     @property
-    def good(self) -> Tensor:
-        """``n`` boolean tensor: gels all of whose bubbles could be simulated."""
+    def good(self) -> Bool[Tensor, "draws"]:
+        """Gels all of whose bubbles could be simulated."""
         seen = torch.cat((self.radius[..., None], self.by_gel, self.by_nuisance), dim=-1)
         return torch.isfinite(seen).flatten(1).all(1)
 
-    def replaced(self, rows: Tensor, others: "Response") -> "Response":
+    def replaced(self, rows: Shaped[Tensor, "rows"], others: "Response") -> "Response":
         """These gels with others in the place of some rows."""
         pairs = [(getattr(self, f), getattr(others, f)) for f in self.__dataclass_fields__]
         return Response(*(mine.index_copy(0, rows, new) for mine, new in pairs))
 
 
-def radii(shot: Shot, part: ModelBelief, controls: Tensor) -> Tensor:
-    """R/Rmax of gels at controls: ``... x d`` to ``... x q x T``; NaN where the solve failed."""
+def radii(shot: Shot, part: ModelBelief, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch designs frames"]:
+    """R/Rmax of gels at controls; NaN where the solve failed."""
     return predict(shot.simulator, part.parameters(part.mean + controls @ part.chol.mT), shot.film)
 
 
-def respond(shot: Shot, part: ModelBelief, controls: Tensor, *, gel: bool = True) -> Response:
+def respond(shot: Shot, part: ModelBelief, controls: Float[Tensor, "draws controls"], *, gel: bool = True) -> Response:
     """Radii and their sensitivities: each gel with its moved copies is a bundle that the solver advances in lock step.
 
     Args:

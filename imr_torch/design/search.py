@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.design.acquisition import ExpectedInformationGain
@@ -28,7 +29,7 @@ class DesignSearch:
 
     Args:
         recommendation: the design to shoot; its mean is what it adds to the gain of the pending designs.
-        designs: ``n x 2`` tensor of all evaluated designs.
+        designs: all evaluated designs.
         gains: their information gains, in the same order, each joint with the pending designs.
         optimizer: the optimizer, whose surrogate can be drawn.
         pending: joint gain of the designs that were pending; None if there were none.
@@ -36,15 +37,15 @@ class DesignSearch:
     """
 
     recommendation: Recommendation
-    designs: Tensor
+    designs: Float[Tensor, "evaluated 2"]
     gains: tuple[InformationGain, ...]
     optimizer: DesignOptimizer
     pending: InformationGain | None = None
     earlier: tuple["DesignSearch", ...] = ()
 
     @property
-    def chosen(self) -> Tensor:
-        """``q x 2`` tensor: all designs to shoot, in the order found."""
+    def chosen(self) -> Float[Tensor, "designs 2"]:
+        """All designs to shoot, in the order found."""
         return torch.stack([step.recommendation.design for step in (*self.earlier, self)])
 
     @property
@@ -148,7 +149,11 @@ class SearchSettings:
     common: bool = True
 
     def optimizer(
-        self, space: DesignSpace, designs: Tensor, gains: Sequence[InformationGain], pending: InformationGain | None
+        self,
+        space: DesignSpace,
+        designs: Float[Tensor, "evaluated 2"],
+        gains: Sequence[InformationGain],
+        pending: InformationGain | None,
     ) -> tuple[DesignOptimizer, float]:
         """An optimizer that was told what designs (``n x 2``) add to the pending ones, and the variance common to all.
 
@@ -167,7 +172,11 @@ class SearchSettings:
         return optimizer, errors.common if errors else 0.0
 
     def finish(
-        self, space: DesignSpace, designs: Tensor, gains: Sequence[InformationGain], pending: InformationGain | None
+        self,
+        space: DesignSpace,
+        designs: Float[Tensor, "evaluated 2"],
+        gains: Sequence[InformationGain],
+        pending: InformationGain | None,
     ) -> DesignSearch:
         """The recommendation from all evaluations; its error has the part that is common to all of them."""
         optimizer, common = self.optimizer(space, designs, gains, pending)

@@ -11,6 +11,7 @@ from functools import cached_property
 from itertools import product
 
 import torch
+from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
@@ -61,12 +62,12 @@ class DesignSpace:
             raise InputDataError(f"DesignSpace.scatter is {self.scatter}; expected two relative standard deviations in [0, 1).")
 
     @property
-    def bounds(self) -> Tensor:
+    def bounds(self) -> Float[Tensor, "2 2"]:
         """``2 x 2`` tensor, lower row and upper row, in BoTorch's layout."""
         return torch.tensor([self.weber, self.rest_radius], dtype=torch.float64).T.contiguous()
 
     @cached_property
-    def choices(self) -> Tensor | None:
+    def choices(self) -> Float[Tensor, "designs 2"] | None:
         """``n x 2`` tensor of all designs that can be asked for; None when there is a continuum."""
         listed = self.designs or tuple(product(self.weber_settings, self.rest_radius_settings))
         return torch.tensor(listed, dtype=torch.float64) if listed else None
@@ -79,7 +80,7 @@ class DesignSpace:
         axis, settings = (0, self.weber_settings) if self.weber_settings else (1, self.rest_radius_settings)
         return [{axis: value} for value in settings]
 
-    def check(self, X: Tensor) -> None:
+    def check(self, X: Real[Tensor, "*batch 2"]) -> None:
         """Raise unless every design of ``X`` (``... x 2``) lies in the box; achieved designs need not be settings.
 
         Raises:
@@ -97,7 +98,7 @@ class DesignSpace:
                 f"R_inf* {list(self.rest_radius)}; shoot inside, or widen the DesignSpace."
             )
 
-    def settle(self, X: Tensor) -> Tensor:
+    def settle(self, X: Real[Tensor, "designs 2"]) -> Real[Tensor, "designs 2"]:
         """The nearest designs that can be asked for, ``n x 2``; of a list, each only once until all are taken."""
         scale = self.bounds[1] - self.bounds[0]
         if self.choices is not None:
@@ -115,7 +116,7 @@ class DesignSpace:
                 settled[:, axis] = values[(X[:, axis : axis + 1] - values).abs().argmin(1)]
         return settled
 
-    def describe(self, design: Tensor, surroundings: Surroundings) -> str:
+    def describe(self, design: Real[Tensor, "2"], surroundings: Surroundings) -> str:
         """A design in laboratory units."""
         radius = float(surroundings.max_radius(design[0]))
         return (

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
+from jaxtyping import Float, Real
 from torch import Tensor
 from torch.distributions import Distribution, constraints
 
@@ -61,21 +62,21 @@ class ModelPrior(Distribution):
         return constraints.independent(constraints.cat(each, dim=-1, lengths=[1] * len(each)), 1)
 
     @property
-    def mean(self) -> Tensor:
+    def mean(self) -> Float[Tensor, "controls"]:
         """``d`` tensor."""
         return self.belief.means.to(self.dtype)
 
     @property
-    def variance(self) -> Tensor:
+    def variance(self) -> Float[Tensor, "controls"]:
         """``d`` tensor."""
         return self.belief.sds.square().to(self.dtype)
 
-    def sample(self, sample_shape: Sequence[int] = ()) -> Tensor:
+    def sample(self, sample_shape: Sequence[int] = ()) -> Float[Tensor, "*sample controls"]:
         """``sample_shape x d`` draws, from torch's global generator as the contract has it."""
         noise = torch.randn(*sample_shape, len(self.belief.names), dtype=torch.float64)
         return self.belief.physical(self.belief.unwhitened(noise)).to(self.dtype)
 
-    def log_prob(self, value: Tensor) -> Tensor:
+    def log_prob(self, value: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch"]:
         """Log density at ``... x d`` parameters: ``...`` tensor, ``-inf`` outside the support."""
         return self.belief.log_prob(value.to(torch.float64)).to(self.dtype)
 
@@ -115,7 +116,7 @@ class SbiSimulator:
         self.belief, self.simulator, self.batch, self.dtype = belief, simulator, batch, dtype
         self._source = generator(seed)
 
-    def __call__(self, theta: Tensor) -> Tensor:
+    def __call__(self, theta: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch data"]:
         """Simulate; a row of a failed solve is all NaN.
 
         Raises:
@@ -144,8 +145,8 @@ class SbiSimulator:
 def sbi_simulator(
     belief: ModelBelief,
     simulator: Simulator,
-    designs: Tensor,
-    times: Tensor,
+    designs: Real[Tensor, "designs 2"],
+    times: Real[Tensor, "frames"],
     *,
     seed: int,
     noise: Noise | None = None,
@@ -157,8 +158,8 @@ def sbi_simulator(
     Args:
         belief: the model and what is believed of its parameters, for example ``Belief.prior(...)["nhkv"]``.
         simulator: makes the bubbles.
-        designs: ``q x 2`` tensor, (We, R_inf*) as measured.
-        times: ``n_t`` tensor, dimensionless; those of every design.
+        designs: (We, R_inf*) as measured.
+        times: dimensionless; those of every design.
         seed: of noise and nuisances (the prior draws from torch's global generator).
         noise: observation noise; the published law by default.
         nuisance: what is uncertain about each design and clock; nothing by default.

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
@@ -32,12 +33,12 @@ class Cloud:
     """Posterior draws of a belief that is curved, so that a Gaussian does not describe it, with the local precision at each.
 
     Args:
-        controls: ``n x d`` tensor, of equal weight.
-        precisions: ``n x d x d`` tensor, of the controls, locally.
+        controls: of equal weight.
+        precisions: of the controls, locally.
     """
 
-    controls: Tensor
-    precisions: Tensor
+    controls: Float[Tensor, "draws controls"]
+    precisions: Float[Tensor, "draws controls controls"]
 
     def __post_init__(self) -> None:
         if self.controls.ndim != 2 or self.precisions.shape != (*self.controls.shape, self.controls.shape[-1]):
@@ -56,8 +57,8 @@ class ModelBelief:
     Args:
         model: key of the constitutive model.
         marginals: one map per free parameter, in the order of ``names``.
-        mean: ``d`` tensor, controls (dimensionless).
-        chol: ``d x d`` lower triangular tensor, Cholesky factor of the control covariance.
+        mean: controls (dimensionless).
+        chol: Cholesky factor of the control covariance.
         known: values of the model's independently measured parameters, SI, and of free ones that are held fixed.
         cloud: posterior draws, where the Gaussian has the moments of the belief but not its shape; from the Gaussian alone,
             experimental design would expect information that is known already.
@@ -72,8 +73,8 @@ class ModelBelief:
 
     model: str
     marginals: tuple[Marginal, ...]
-    mean: Tensor
-    chol: Tensor
+    mean: Float[Tensor, "controls"]
+    chol: Float[Tensor, "controls controls"]
     known: Mapping[str, float] = field(default_factory=dict)
     cloud: Cloud | None = None
 
@@ -112,45 +113,45 @@ class ModelBelief:
         """Free parameters."""
         return tuple(name for name in self.material.free if name not in self.known)
 
-    def controls(self, count: int, *, seed: SeedLike) -> Tensor:
+    def controls(self, count: int, *, seed: SeedLike) -> Float[Tensor, "count controls"]:
         """``count x d`` independent draws of the controls."""
         noise = torch.randn(count, len(self.names), generator=generator(seed), dtype=self.mean.dtype)
         return self.unwhitened(noise.to(self.mean.device))
 
-    def physical(self, controls: Tensor) -> Tensor:
-        """Free parameters in SI at controls; ``... x d`` to ``... x d``."""
+    def physical(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch controls"]:
+        """Free parameters in SI at controls."""
         columns = [m.to_physical(controls[..., i]) for i, m in enumerate(self.marginals)]
         return torch.stack(columns, dim=-1)
 
-    def to_controls(self, values: Tensor) -> Tensor:
+    def to_controls(self, values: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch controls"]:
         """Inverse of :meth:`physical`."""
         columns = [m.to_control(values[..., i]) for i, m in enumerate(self.marginals)]
         return torch.stack(columns, dim=-1)
 
-    def parameters(self, controls: Tensor) -> Tensor:
-        """Shared parameter vectors at controls: ``... x d`` to ``... x p``, SI; what is not of the model is neutral."""
+    def parameters(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch parameters"]:
+        """Shared parameter vectors at controls, SI; what is not of the model is neutral."""
         values = self.physical(controls)
         packed = PARAMETERS.neutral(*values.shape[:-1], dtype=values.dtype).to(values.device)
         for name, value in self.known.items():
             packed[..., PARAMETERS.index([name])[0]] = value
         return packed.index_copy(-1, torch.tensor(PARAMETERS.index(self.names), device=values.device), values)
 
-    def unwhitened(self, whitened: Tensor) -> Tensor:
-        """Controls at coordinates in which this belief is a standard normal: ``... x d`` to ``... x d``."""
+    def unwhitened(self, whitened: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch controls"]:
+        """Controls at coordinates in which this belief is a standard normal."""
         return self.mean + whitened @ self.chol.mT
 
-    def to_si(self, whitened: Tensor) -> Tensor:
-        """Shared parameter vectors at coordinates in which this belief is a standard normal: ``... x d`` to ``... x p``, SI."""
+    def to_si(self, whitened: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch parameters"]:
+        """Shared parameter vectors at coordinates in which this belief is a standard normal, SI."""
         return self.parameters(self.unwhitened(whitened))
 
-    def log_prob_controls(self, controls: Tensor) -> Tensor:
-        """Log density of the Gaussian at controls: ``... x d`` to ``...``."""
+    def log_prob_controls(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch"]:
+        """Log density of the Gaussian at controls."""
         d = len(self.names)
         whitened = torch.linalg.solve_triangular(self.chol, (controls - self.mean)[..., None], upper=False)[..., 0]
         constant = -0.5 * d * math.log(2.0 * math.pi) - torch.log(self.chol.diagonal()).sum()
         return constant - 0.5 * whitened.square().sum(-1)
 
-    def log_prob(self, values: Tensor) -> Tensor:
+    def log_prob(self, values: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch"]:
         """Log density of free parameters in SI: ``... x d`` to ``...`` (per product of their units); ``-inf`` outside."""
         bounds = torch.tensor([(m.lower, m.upper) for m in self.marginals], dtype=values.dtype, device=values.device)
         inside = ((values >= bounds[:, 0]) & (values <= bounds[:, 1])).all(-1)
@@ -159,7 +160,7 @@ class ModelBelief:
         density = self.log_prob_controls(controls) - slopes
         return torch.where(inside & ~torch.isnan(density), density, -math.inf)
 
-    def quantile(self, levels: Sequence[float] | Tensor) -> Tensor:
+    def quantile(self, levels: Sequence[float] | Float[Tensor, "levels"]) -> Float[Tensor, "levels controls"]:
         """Quantiles of each marginal: ``levels`` (n) to ``n x d``, SI. Exact, since each map is monotone."""
         levels = torch.as_tensor(levels, dtype=self.mean.dtype, device=self.mean.device)
         sd = torch.linalg.norm(self.chol, dim=-1)
@@ -174,30 +175,32 @@ class ModelBelief:
         return z, torch.as_tensor(weights / weights.sum(), dtype=self.mean.dtype, device=self.mean.device)
 
     @property
-    def means(self) -> Tensor:
+    def means(self) -> Float[Tensor, "controls"]:
         """Posterior mean of each free parameter (``d``), SI."""
         z, weights = self._nodes
         return weights @ self.physical(z)
 
     @property
-    def sds(self) -> Tensor:
+    def sds(self) -> Float[Tensor, "controls"]:
         """Standard deviation of each free parameter (``d``), SI."""
         z, weights = self._nodes
         values = self.physical(z)
         return (weights @ (values - weights @ values).square()).sqrt()
 
-    def entropy(self) -> Tensor:
+    def entropy(self) -> Float[Tensor, ""]:
         """Differential entropy of the parameters in nats (with SI units), a 0-d tensor."""
         d = len(self.names)
         gaussian = 0.5 * d * (1.0 + math.log(2.0 * math.pi)) + torch.log(self.chol.diagonal()).sum()
         z, weights = self._nodes
         return gaussian + sum(weights @ m.log_slope(z[:, i]) for i, m in enumerate(self.marginals))
 
-    def with_gaussian(self, mean: Tensor, chol: Tensor) -> "ModelBelief":
+    def with_gaussian(self, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]) -> "ModelBelief":
         """The same maps with another Gaussian of the controls, and no cloud."""
         return replace(self, mean=mean, chol=chol, cloud=None)
 
-    def with_cloud(self, controls: Tensor, precisions: Tensor) -> "ModelBelief":
+    def with_cloud(
+        self, controls: Float[Tensor, "draws controls"], precisions: Float[Tensor, "draws controls controls"]
+    ) -> "ModelBelief":
         """The same Gaussian with draws that have its shape: ``n x d`` controls and their ``n x d x d`` precisions."""
         return replace(self, cloud=Cloud(controls, precisions))
 
@@ -268,7 +271,7 @@ class Draws:
     """Joint draws of model and parameters.
 
     Args:
-        model_index: ``n`` integer tensor, which model of the belief each draw is of.
+        model_index: which model of the belief each draw is of.
         parameters: ``n x p`` shared parameter vectors, SI.
 
     >>> from imr_torch import wide_prior
@@ -277,8 +280,8 @@ class Draws:
     [1, 1, 0, 1, 1, 1]
     """
 
-    model_index: Tensor
-    parameters: Tensor
+    model_index: Int[Tensor, "draws"]
+    parameters: Float[Tensor, "draws parameters"]
 
 
 @dataclass(frozen=True)
@@ -287,7 +290,7 @@ class Belief:
 
     Args:
         models: one :class:`ModelBelief` per candidate.
-        log_probabilities: ``M`` tensor, log probability of each; normalised on construction.
+        log_probabilities: log probability of each; normalised on construction.
 
     >>> from imr_torch.material import Belief, LogNormal
     >>> belief = Belief.prior({"nhkv": {"G": LogNormal(5e3, 2.0), "mu": LogNormal(0.1, 3.0)}})
@@ -298,7 +301,7 @@ class Belief:
     """
 
     models: tuple[ModelBelief, ...]
-    log_probabilities: Tensor
+    log_probabilities: Float[Tensor, "models"]
 
     def __post_init__(self) -> None:
         keys = [m.model for m in self.models]
@@ -380,7 +383,7 @@ class Belief:
             parameters[chosen] = drawn[chosen].to(parameters)
         return Draws(index, parameters)
 
-    def log_prob(self, draws: Draws) -> Tensor:
+    def log_prob(self, draws: Draws) -> Float[Tensor, "draws"]:
         """Joint log density of model and parameters of each draw (``n``)."""
         result = torch.empty(draws.parameters.shape[0], dtype=draws.parameters.dtype)
         for i, part in enumerate(self.models):
@@ -389,7 +392,7 @@ class Belief:
             result[chosen] = self.log_probabilities[i] + part.log_prob(values)
         return result
 
-    def entropy(self) -> Tensor:
+    def entropy(self) -> Float[Tensor, ""]:
         """Entropy of model and parameters together, in nats: ``H(model) + E[H(parameters | model)]``."""
         weights = self.log_probabilities.exp()
         models = -torch.xlogy(weights, weights).sum()

@@ -8,6 +8,7 @@ order of the terms.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import torch
+from jaxtyping import Float, Inexact
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
@@ -60,7 +61,9 @@ def register_term(term: StressTerm) -> StressTerm:
     return term
 
 
-def active_terms(theta: Mapping[str, Tensor], terms: Sequence[StressTerm] | None = None) -> tuple[StressTerm, ...]:
+def active_terms(
+    theta: Mapping[str, Inexact[Tensor, "*#batch"]], terms: Sequence[StressTerm] | None = None
+) -> tuple[StressTerm, ...]:
     """Of ``terms`` (all by default), those that do something for at least one member of the batch ``theta``.
 
     >>> import torch
@@ -84,7 +87,9 @@ def memory_states(terms: Sequence[StressTerm]) -> int:
     return sum(term.states for term in terms)
 
 
-def memory_start(terms: Sequence[StressTerm], rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Tensor:
+def memory_start(
+    terms: Sequence[StressTerm], rest_radius: Inexact[Tensor, "*batch"], theta: Mapping[str, Inexact[Tensor, "*#batch"]]
+) -> Inexact[Tensor, "states *batch"]:
     """Memory states at time zero, ``K x B``; ``rest_radius`` is a ``B`` tensor.
 
     >>> import torch
@@ -99,12 +104,12 @@ def memory_start(terms: Sequence[StressTerm], rest_radius: Tensor, theta: Mappin
 
 def gel_response(
     terms: Sequence[StressTerm],
-    radius: Tensor,
-    velocity: Tensor,
-    rest_radius: Tensor,
-    theta: Mapping[str, Tensor],
-    memory: Tensor | None = None,
-) -> tuple[Stress, Tensor]:
+    radius: Inexact[Tensor, "*#batch"],
+    velocity: Inexact[Tensor, "*#batch"],
+    rest_radius: Inexact[Tensor, "*#batch"],
+    theta: Mapping[str, Inexact[Tensor, "*#batch"]],
+    memory: Inexact[Tensor, "states *#batch"] | None = None,
+) -> tuple[Stress, Inexact[Tensor, "states *#batch"]]:
     """Sum of ``terms``, and ``d memory/dt`` (``K x B``).
 
     All arguments dimensionless, ``B`` tensors but ``memory``, ``K x B``; see :class:`imr_torch.material.stress.StressTerm`.
@@ -127,11 +132,11 @@ def gel_response(
 
 def stress_integral(
     terms: Sequence[StressTerm],
-    radius: Tensor,
-    velocity: Tensor,
-    rest_radius: Tensor,
-    theta: Mapping[str, Tensor],
-    memory: Tensor | None = None,
+    radius: Inexact[Tensor, "*#batch"],
+    velocity: Inexact[Tensor, "*#batch"],
+    rest_radius: Inexact[Tensor, "*#batch"],
+    theta: Mapping[str, Inexact[Tensor, "*#batch"]],
+    memory: Inexact[Tensor, "states *#batch"] | None = None,
 ) -> Stress:
     """Sum of ``terms``; arguments as in :func:`gel_response`.
 
@@ -147,12 +152,12 @@ def stress_integral(
 
 def memory_rate(
     terms: Sequence[StressTerm],
-    radius: Tensor,
-    velocity: Tensor,
-    rest_radius: Tensor,
-    theta: Mapping[str, Tensor],
-    memory: Tensor,
-) -> Tensor:
+    radius: Inexact[Tensor, "*#batch"],
+    velocity: Inexact[Tensor, "*#batch"],
+    rest_radius: Inexact[Tensor, "*#batch"],
+    theta: Mapping[str, Inexact[Tensor, "*#batch"]],
+    memory: Inexact[Tensor, "states *#batch"],
+) -> Inexact[Tensor, "states *#batch"]:
     """``d memory/dt``, ``K x B``; arguments as in :func:`gel_response`.
 
     >>> import torch
@@ -167,13 +172,15 @@ def memory_rate(
     return gel_response(remembering, radius, velocity, rest_radius, theta, memory)[1]
 
 
-def derivatives(function: Callable[..., Tensor], point: tuple[Tensor, ...], *, analytic: bool) -> Tensor:
+def derivatives(
+    function: Callable[..., Tensor], point: tuple[Float[Tensor, "*batch"], ...], *, analytic: bool
+) -> Float[Tensor, "k ..."]:
     """Derivatives of a function of scalars in each of its arguments, elementwise.
 
     Args:
         function: ``k`` tensors of a shape ``B`` to one of the shape ``... x B``; where ``analytic``, also complex ones of
             the shape ``k x B``.
-        point: ``k`` tensors of the shape ``B``.
+        point: the shape ``B``.
         analytic: whether the function is one of laws written with :mod:`imr_torch.elementary`. Then the derivatives are the
             imaginary parts at a tiny imaginary step (Squire & Trapp, SIAM Rev. 40, 1998), else those of forward mode.
 

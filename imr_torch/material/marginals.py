@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import torch
+from jaxtyping import Float
 from scipy import stats
 from torch import Tensor
 from torch.special import ndtri
@@ -43,20 +44,20 @@ class Marginal(Protocol):
         """Largest value with a density, SI."""
         ...
 
-    def to_physical(self, z: Tensor) -> Tensor:
+    def to_physical(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """Parameter in SI units at the control ``z``."""
         ...
 
-    def to_control(self, value: Tensor) -> Tensor:
+    def to_control(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """Control ``z`` at a parameter value inside the support."""
         ...
 
-    def log_slope(self, z: Tensor) -> Tensor:
+    def log_slope(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """``log |d theta / d z|``."""
         ...
 
 
-def ndtr(x: Tensor) -> Tensor:
+def ndtr(x: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Normal distribution function with full relative precision in the tail (``torch.special.ndtr`` is 0 below -8.3)."""
     return 0.5 * torch.erfc(-x / math.sqrt(2.0))
 
@@ -126,12 +127,12 @@ class TruncatedNormal:
         unbounded = (z > _FAR) & (above == 0.0) | (z < -_FAR) & (below == 0.0)
         return torch.where(unbounded, far, value)
 
-    def to_physical(self, z: Tensor) -> Tensor:
+    def to_physical(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """See :class:`Marginal`."""
         value = self.mean + self.sd * self._standard(z)
         return value.clamp(self.lower, self.upper)
 
-    def to_control(self, value: Tensor) -> Tensor:
+    def to_control(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """See :class:`Marginal`."""
         below, above = self._tails()
         kept = 1.0 - below - above
@@ -143,7 +144,7 @@ class TruncatedNormal:
         unbounded = (x > _FAR) & (above == 0.0) | (x < -_FAR) & (below == 0.0)
         return torch.where(unbounded, far, z)
 
-    def log_slope(self, z: Tensor) -> Tensor:
+    def log_slope(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """See :class:`Marginal`."""
         below, above = self._tails()
         kept = math.log(self.sd) + math.log1p(-below - above)
@@ -186,15 +187,15 @@ class LogNormal:
         """See :class:`Marginal`."""
         return math.inf
 
-    def to_physical(self, z: Tensor) -> Tensor:
+    def to_physical(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """See :class:`Marginal`."""
         return self.median * torch.exp(math.log(self.factor) * z)
 
-    def to_control(self, value: Tensor) -> Tensor:
+    def to_control(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """See :class:`Marginal`."""
         return torch.log(value / self.median) / math.log(self.factor)
 
-    def log_slope(self, z: Tensor) -> Tensor:
+    def log_slope(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """See :class:`Marginal`."""
         return math.log(self.median * math.log(self.factor)) + math.log(self.factor) * z
 
@@ -245,19 +246,19 @@ class Quantile:
         """See :class:`Marginal`."""
         return float(self._law.support()[1])
 
-    def to_physical(self, z: Tensor) -> Tensor:
+    def to_physical(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """See :class:`Marginal`."""
         z = z.clamp(-_SURE, _SURE)
         slope = self.log_slope(z.detach()).exp().nan_to_num(posinf=0.0)  # a value that rounds to a bound
         return self._at(z.detach()) + slope * (z - z.detach())
 
-    def to_control(self, value: Tensor) -> Tensor:
+    def to_control(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """See :class:`Marginal`."""
         at = value.detach().cpu().numpy()
         below, above = (self._tensor(f(at), value).clamp_min(_TINY) for f in (self._law.cdf, self._law.sf))
         return torch.where(below < 0.5, ndtri(below), -ndtri(above))
 
-    def log_slope(self, z: Tensor) -> Tensor:
+    def log_slope(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """See :class:`Marginal`."""
         z = z.clamp(-_SURE, _SURE)
         return _normal_log_pdf(z) - self._tensor(self._law.logpdf(self._at(z).cpu().numpy()), z)

@@ -6,6 +6,7 @@ To add a model, subclass :class:`Material` in one file, name its terms, and regi
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
+from jaxtyping import Inexact
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
@@ -57,11 +58,11 @@ class Material:
 
     def stress(
         self,
-        radius: Tensor,
-        velocity: Tensor,
-        rest_radius: Tensor,
-        theta: Mapping[str, Tensor],
-        memory: Tensor | None = None,
+        radius: Inexact[Tensor, "*#batch"],
+        velocity: Inexact[Tensor, "*#batch"],
+        rest_radius: Inexact[Tensor, "*#batch"],
+        theta: Mapping[str, Inexact[Tensor, "*#batch"]],
+        memory: Inexact[Tensor, "states *#batch"] | None = None,
     ) -> Stress:
         """The model's stress integral; all arguments dimensionless, see :class:`~imr_torch.material.stress.Stress`.
 

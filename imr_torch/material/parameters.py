@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
+from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
@@ -126,18 +127,18 @@ class ParameterVector:
                 self[name]  # names the parameters that are known
         return [self._columns[name] for name in names]
 
-    def neutral(self, *batch_shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
+    def neutral(self, *batch_shape: int, dtype: torch.dtype = torch.float64) -> Float[Tensor, "*batch parameters"]:
         """A ``batch_shape x p`` tensor of neutral values: a bubble in an inviscid liquid without elasticity."""
         row = torch.tensor([p.neutral for p in self], dtype=dtype)
         return row.expand(*batch_shape, len(self)).clone()
 
-    def acting(self, rows: Tensor) -> frozenset[str]:
+    def acting(self, rows: Float[Tensor, "parameters members"]) -> frozenset[str]:
         """Names of the parameters (``rows``, ``p x B``, in SI or dimensionless) that are not neutral in some member."""
         neutral = self.neutral(dtype=rows.dtype).to(rows.device)
         moved = (rows != neutral[:, None]).any(1)
         return frozenset(name for name, acts in zip(self.names, moved.tolist(), strict=True) if acts)
 
-    def pack(self, values: Mapping[str, float | Tensor]) -> Tensor:
+    def pack(self, values: Mapping[str, float | Real[Tensor, "*#batch"]]) -> Float[Tensor, "*batch parameters"]:
         """Put named values into a parameter tensor; what is not named is neutral.
 
         Args:
@@ -164,7 +165,7 @@ class ParameterVector:
             packed = packed.index_copy(-1, torch.tensor(self.index([name])), column.to(packed).expand(shape)[..., None])
         return packed
 
-    def check(self, name: str, value: Tensor) -> None:
+    def check(self, name: str, value: Real[Tensor, "*batch"]) -> None:
         """Raise :class:`InputDataError` where a value is not finite or outside the bounds of ``name``."""
         entry = self[name]
         bad = ~((value >= entry.lower) & (value <= entry.upper))
@@ -250,16 +251,18 @@ LAW_VELOCITY_SQUARED = _law("velocity_squared", "U|U|")
 LAW_RATE_SQUARED = _law("rate_squared", "(U/R)|U/R|")
 
 
-def dimensionless(parameters: Tensor, max_radius: Tensor, surroundings: Surroundings) -> dict[str, Tensor]:
+def dimensionless(
+    parameters: Float[Tensor, "*#batch parameters"], max_radius: Float[Tensor, "*#batch"], surroundings: Surroundings
+) -> dict[str, Float[Tensor, "*#batch"]]:
     """The parameters of each bubble in dimensionless form.
 
     Args:
-        parameters: ``batch_shape x p`` tensor, SI.
-        max_radius: ``batch_shape`` tensor, m.
+        parameters: SI.
+        max_radius: m.
         surroundings: the liquid side.
 
     Returns:
-        Name -> ``batch_shape`` tensor: moduli as ``1/Ca = G/p_inf``, viscosities as ``1/Re = mu U_c/(p_inf Rmax)``,
+        By name: moduli as ``1/Ca = G/p_inf``, viscosities as ``1/Re = mu U_c/(p_inf Rmax)``,
         times as ``De = tau U_c/Rmax`` (Estrada et al. 2018, section 2.3), rates and lengths over ``U_c/Rmax`` and ``Rmax``.
 
     >>> import torch

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import torch
+from jaxtyping import Inexact
 from torch import Tensor
 
 from imr_torch.elementary import Law, has_compiled_form
@@ -24,9 +25,9 @@ class Stress:
     """A stress integral and its time derivative ``dS/dt = rate + acceleration * dU/dt``.
 
     Args:
-        value: ``batch_shape`` tensor, ``S`` over ``p_inf``.
-        rate: ``batch_shape`` tensor, the part of ``dS/dt`` without ``dU/dt``.
-        acceleration: ``batch_shape`` tensor, the factor of ``dU/dt``.
+        value: ``S`` over ``p_inf``.
+        rate: the part of ``dS/dt`` without ``dU/dt``.
+        acceleration: the factor of ``dU/dt``.
 
     >>> import torch
     >>> from imr_torch.material import Stress
@@ -36,9 +37,9 @@ class Stress:
     0.2
     """
 
-    value: Tensor
-    rate: Tensor
-    acceleration: Tensor
+    value: Inexact[Tensor, "*batch"]
+    rate: Inexact[Tensor, "*batch"]
+    acceleration: Inexact[Tensor, "*batch"]
 
     def __add__(self, other: "Stress") -> "Stress":
         return Stress(self.value + other.value, self.rate + other.rate, self.acceleration + other.acceleration)
@@ -103,11 +104,11 @@ class StressTerm:
 
     def __call__(
         self,
-        radius: Tensor,
-        velocity: Tensor,
-        rest_radius: Tensor,
-        theta: Mapping[str, Tensor],
-        memory: Tensor | None = None,
+        radius: Inexact[Tensor, "*#batch"],
+        velocity: Inexact[Tensor, "*#batch"],
+        rest_radius: Inexact[Tensor, "*#batch"],
+        theta: Mapping[str, Inexact[Tensor, "*#batch"]],
+        memory: Inexact[Tensor, "states *#batch"] | None = None,
     ) -> Stress:
         """Evaluate the term; ``memory`` is ``states x batch_shape``, all else broadcasts to ``batch_shape``.
 
@@ -117,24 +118,36 @@ class StressTerm:
         return Stress(*self.evaluate(radius, velocity, rest_radius, theta, memory)[:3])
 
     def memory_rate(
-        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor
-    ) -> Tensor:
+        self,
+        radius: Inexact[Tensor, "*#batch"],
+        velocity: Inexact[Tensor, "*#batch"],
+        rest_radius: Inexact[Tensor, "*#batch"],
+        theta: Mapping[str, Inexact[Tensor, "*#batch"]],
+        memory: Inexact[Tensor, "states *#batch"],
+    ) -> Inexact[Tensor, "states *#batch"]:
         """Time derivative of ``memory``, ``states x batch_shape``."""
         return torch.stack(self.evaluate(radius, velocity, rest_radius, theta, memory)[3:])
 
-    def memory_start(self, rest_radius: Tensor, theta: Mapping[str, Tensor]) -> Tensor:
+    def memory_start(
+        self, rest_radius: Inexact[Tensor, "*#batch"], theta: Mapping[str, Inexact[Tensor, "*#batch"]]
+    ) -> Inexact[Tensor, "states *#batch"]:
         """Memory at time zero, ``states x batch_shape``."""
         if self.start is None:
             return rest_radius.new_zeros(self.states, *rest_radius.shape)
         return torch.stack(self.start(rest_radius, *self._read(theta)))
 
-    def relaxation_rate(self, theta: Mapping[str, Tensor]) -> Tensor | None:
+    def relaxation_rate(self, theta: Mapping[str, Inexact[Tensor, "*#batch"]]) -> Inexact[Tensor, "*#batch"] | None:
         """Rate of the fastest state, ``batch_shape``; None if it follows the bubble's motion."""
         return None if self.fastest is None else self.fastest(*self._read(theta))
 
     def evaluate(
-        self, radius: Tensor, velocity: Tensor, rest_radius: Tensor, theta: Mapping[str, Tensor], memory: Tensor | None
-    ) -> tuple[Tensor, ...]:
+        self,
+        radius: Inexact[Tensor, "*#batch"],
+        velocity: Inexact[Tensor, "*#batch"],
+        rest_radius: Inexact[Tensor, "*#batch"],
+        theta: Mapping[str, Inexact[Tensor, "*#batch"]],
+        memory: Inexact[Tensor, "states *#batch"] | None,
+    ) -> tuple[Inexact[Tensor, "*#batch"], ...]:
         """Value, rate and acceleration of the stress, and the rates of the memory, all of the broadcast shape."""
         if self.states and memory is None:
             raise InputDataError(f"{self.name} has memory; its states must be given.")

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import torch
+from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri, stdtrit
 from torch import Tensor
 
@@ -162,22 +163,22 @@ class CollapseTime:
             raise InputDataError(f"CollapseTime {self.label!r}: put the error of time zero into sd, and 0 into its nuisance.")
 
     @cached_property
-    def times(self) -> Tensor:
+    def times(self) -> Float[Tensor, "1"]:
         """A tensor of one number, the measured time."""
         return torch.tensor([self.time], dtype=torch.float64)
 
     @property
-    def mean(self) -> Tensor:
+    def mean(self) -> Float[Tensor, "1"]:
         """The datum, a tensor of one number."""
         return self.times
 
     @property
-    def radius(self) -> Tensor:
+    def radius(self) -> Float[Tensor, "1 1"]:
         """The datum as the one repeat's: ``1 x 1``."""
         return self.times[None]
 
     @property
-    def counts(self) -> Tensor:
+    def counts(self) -> Int[Tensor, "1"]:
         """One repeat."""
         return torch.ones(1, dtype=torch.long)
 
@@ -186,7 +187,7 @@ class CollapseTime:
         """Error of the time with the scatter."""
         return math.hypot(self.sd, self.scatter)
 
-    def at(self, frames: Tensor) -> "CollapseTime":
+    def at(self, frames: Bool[Tensor, "frames"]) -> "CollapseTime":
         """Itself: it has one datum."""
         return self
 
@@ -195,11 +196,13 @@ class CollapseTime:
         return self
 
 
-def first_minimum(times: Tensor, radius: Tensor, velocity: Tensor) -> Tensor:
+def first_minimum(
+    times: Float[Tensor, "*#batch frames"], radius: Float[Tensor, "*#batch frames"], velocity: Float[Tensor, "*#batch frames"]
+) -> Float[Tensor, "*#batch"]:
     """Time of the first minimum of curves, where the velocity changes sign; NaN for a curve without one.
 
     Args:
-        times: ``... x n`` tensor, increasing.
+        times: increasing.
         radius: ``... x n`` tensor.
         velocity: ``... x n`` tensor.
 
@@ -227,21 +230,21 @@ def first_minimum(times: Tensor, radius: Tensor, velocity: Tensor) -> Tensor:
 
 def predict_collapse(
     simulator: Simulator,
-    parameters: Tensor,
-    designs: Tensor,
-    measured: Tensor,
-    shifts: Tensor | None = None,
+    parameters: Float[Tensor, "*#batch parameters"],
+    designs: Float[Tensor, "experiments 2"],
+    measured: Float[Tensor, "experiments"],
+    shifts: Float[Tensor, "*#batch experiments 3"] | None = None,
     *,
     bundled: bool = False,
-) -> Tensor:
+) -> Float[Tensor, "*#batch experiments"]:
     """Collapse times that would be measured of each gel in each shot: ``batch_shape x E``, dimensionless; NaN without one.
 
     Args:
         simulator: makes the bubbles.
-        parameters: ``batch_shape x p`` tensor, SI.
-        designs: ``E x 2`` tensor, measured.
-        measured: ``E`` tensor, measured times; a collapse is looked for up to two and a half times as late.
-        shifts: ``batch_shape x E x 3`` tensor of nuisances in physical size.
+        parameters: SI.
+        designs: measured.
+        measured: measured times; a collapse is looked for up to two and a half times as late.
+        shifts: nuisances in physical size.
         bundled: as for :func:`imr_torch.observe.predict`.
     """
     times = measured[:, None] * _GRID.to(measured)
@@ -347,11 +350,11 @@ def _shot(row: dict[str, str], where: str, source: str, stated: Statement | None
     )
 
 
-def serial_correlation(values: Tensor, order: Tensor) -> float:
+def serial_correlation(values: Float[Tensor, "shots"], order: Float[Tensor, "shots"]) -> float:
     """Correlation of each value with the next one in an order, times the root of their number: standard normal if independent.
 
     Args:
-        values: ``n`` tensor of residuals.
+        values: residuals.
         order: ``n`` tensor by which they are sorted.
 
     >>> import torch
@@ -365,15 +368,15 @@ def serial_correlation(values: Tensor, order: Tensor) -> float:
     return float(product / values.square().sum().clamp_min(1e-300)) * math.sqrt(len(values))
 
 
-def scatter_of(missed: Tensor, variance: Tensor, fitted: float) -> float:
+def scatter_of(missed: Float[Tensor, "shots"], variance: Float[Tensor, "shots"], fitted: float) -> float:
     """Further error of each time, dimensionless, with which chi-square equals its degrees of freedom; 0 if it is below.
 
     As it is plugged in, it is larger by the ratio of the 95 % quantiles of Student's t (of those degrees of freedom) and of the
     normal distribution: so 90 % intervals that it dominates account for how few shots it is estimated from.
 
     Args:
-        missed: ``n`` tensor, measured less predicted time, nuisances at their prior means.
-        variance: ``n`` tensor, its variance by the stated errors alone.
+        missed: measured less predicted time, nuisances at their prior means.
+        variance: its variance by the stated errors alone.
         fitted: degrees of freedom that the fit of the gel took.
     """
     free = len(missed) - fitted

@@ -11,6 +11,7 @@ from functools import cache
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.material import PARAMETERS, Effect, Parameter, TruncatedNormal, register_effect
@@ -105,21 +106,23 @@ class Distortion:
     """The errors of a batch; tensors of ``batch_shape x 1``, to stand beside experiments.
 
     Args:
-        shifts: ``batch_shape x 1 x 3`` tensor, common to all experiments, as nuisances are to one.
+        shifts: common to all experiments, as nuisances are to one.
         clock: see ``CLOCK``.
         blur: see ``EXPOSURE_BLUR``; ``batch_shape x E`` where the exposure of each experiment is known.
         refraction: see ``REFRACTION``.
         edge: see ``EDGE_ERROR``.
     """
 
-    shifts: Tensor
-    clock: Tensor
-    blur: Tensor
-    refraction: Tensor
-    edge: Tensor
+    shifts: Float[Tensor, "*batch 1 3"]
+    clock: Float[Tensor, "*batch 1"]
+    blur: Float[Tensor, "*batch #experiments"]
+    refraction: Float[Tensor, "*batch 1"]
+    edge: Float[Tensor, "*batch 1"]
 
     @classmethod
-    def of(cls, parameters: Tensor, exposures: Tensor | None = None) -> "Distortion | None":
+    def of(
+        cls, parameters: Float[Tensor, "*batch parameters"], exposures: Float[Tensor, "experiments"] | None = None
+    ) -> "Distortion | None":
         """The errors in ``batch_shape x p`` parameters, known ``exposures`` (``E``) added to the blur; None if all are 0."""
         columns = parameters[..., _columns()]
         known = exposures is not None and bool((exposures != 0.0).any())
@@ -130,7 +133,9 @@ class Distortion:
             blur = blur + exposures.to(blur)
         return cls(columns[..., None, :3], clock, blur, refraction, edge)
 
-    def shifts_of(self, designs: Tensor, max_radius: Tensor) -> tuple[Tensor, Tensor]:
+    def shifts_of(
+        self, designs: Float[Tensor, "experiments 2"], max_radius: Float[Tensor, "experiments"]
+    ) -> tuple[Float[Tensor, "*batch #experiments 3"], Float[Tensor, "*batch #experiments 1"]]:
         """Errors of the measured designs and times, and what the edge's error adds to the radius as filmed.
 
         Rmax and R_inf are read off the same film, so each holds the same error ``d`` as every frame: the true ones are smaller
@@ -139,8 +144,8 @@ class Distortion:
         loses it here.
 
         Args:
-            designs: ``E x 2`` tensor, measured (We, R_inf*).
-            max_radius: ``E`` tensor, measured, m.
+            designs: measured (We, R_inf*).
+            max_radius: measured, m.
 
         Returns:
             ``... x E x 3`` tensor in the order of the nuisances, and ``... x E x 1``, in R*.
@@ -149,17 +154,21 @@ class Distortion:
         moved = torch.stack((-edge, torch.zeros_like(edge), -edge / designs[:, 1]), -1)
         return self.shifts + moved, edge[..., None]
 
-    def placed(self, designs: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:
+    def placed(
+        self, designs: Float[Tensor, "*#batch experiments 2"], times: Float[Tensor, "*#batch experiments frames"]
+    ) -> tuple[Float[Tensor, "*#batch experiments 2"], Float[Tensor, "*#batch experiments frames"]]:
         """True designs (``... x E x 2``) and times (``... x E x T``) of a clock that is wrong."""
         rate = torch.exp(self.clock)[..., None]
         slower = torch.cat((1.0 / rate, torch.ones_like(rate)), -1)
         return designs * slower, times * rate
 
-    def filmed(self, times: Tensor, simulate: Callable[[Tensor], Tensor]) -> Tensor:
+    def filmed(
+        self, times: Float[Tensor, "*#batch experiments frames"], simulate: Callable[[Tensor], Tensor]
+    ) -> Float[Tensor, "*#batch experiments frames"]:
         """Radii as filmed: averaged over the exposure, seen through a lens.
 
         Args:
-            times: ``... x E x T`` tensor, true times of the frames.
+            times: true times of the frames.
             simulate: true radii at times, for any number of them.
         """
         radius = self._averaged(times, simulate) if bool((self.blur != 0.0).any()) else simulate(times)

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import ClassVar
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
@@ -30,8 +31,8 @@ class Experiment:
     Args:
         label: name in reports.
         design: (We, R_inf*) as achieved and measured.
-        times: ``n_t`` tensor, dimensionless, from the maximum radius on.
-        radius: ``n_repeats x n_t`` tensor, R/Rmax; NaN where a repeat lacks a frame that another has.
+        times: dimensionless, from the maximum radius on.
+        radius: R/Rmax; NaN where a repeat lacks a frame that another has.
         nuisance: what is uncertain about the design and the clock.
         exposure: known exposure of a frame over ``Rmax/U_c``, over which predictions are averaged; 0 for an instant.
 
@@ -48,8 +49,8 @@ class Experiment:
 
     label: str
     design: tuple[float, float]
-    times: Tensor
-    radius: Tensor
+    times: Float[Tensor, "frames"]
+    radius: Float[Tensor, "repeats frames"]
     nuisance: Nuisance = field(default_factory=Nuisance)
     exposure: float = 0.0
 
@@ -88,13 +89,13 @@ class Experiment:
         return self.radius.shape[0]
 
     @cached_property
-    def counts(self) -> Tensor:
-        """``n_t`` tensor: repeats that have each frame."""
+    def counts(self) -> Int[Tensor, "frames"]:
+        """Repeats that have each frame."""
         return torch.isfinite(self.radius).sum(0)
 
     @cached_property
-    def mean(self) -> Tensor:
-        """``n_t`` tensor: mean over the repeats that have each frame."""
+    def mean(self) -> Float[Tensor, "frames"]:
+        """Mean over the repeats that have each frame."""
         return self.radius.nanmean(0)
 
     @property
@@ -106,7 +107,7 @@ class Experiment:
         """The experiment cut off after the dimensionless time ``last``."""
         return self.at(self.times <= last)
 
-    def at(self, frames: Tensor) -> "Experiment":
+    def at(self, frames: Bool[Tensor, "frames"]) -> "Experiment":
         """The experiment at some of its frames (``n_t`` boolean tensor)."""
         return replace(self, times=self.times[frames], radius=self.radius[:, frames])
 
@@ -116,8 +117,8 @@ class Film:
     """Designs that are planned, and when the camera will see them; there are no data.
 
     Args:
-        designs: ``E x 2`` tensor, (We, R_inf*).
-        times: ``E x T`` tensor of frame times, dimensionless, increasing.
+        designs: (We, R_inf*).
+        times: frame times, dimensionless, increasing.
 
     Raises:
         InputDataError: for a design that no bubble has.
@@ -133,8 +134,8 @@ class Film:
     [1.0, 0.846, 0.418]
     """
 
-    designs: Tensor
-    times: Tensor
+    designs: Float[Tensor, "experiments 2"]
+    times: Float[Tensor, "experiments frames"]
 
     def __post_init__(self) -> None:
         if self.times.ndim != 2 or self.designs.shape != (len(self.times), 2):
@@ -186,8 +187,8 @@ class ExperimentBatch:
         return tuple(e for e in self.experiments if isinstance(e, Experiment))
 
     @cached_property
-    def collapse(self) -> Tensor:
-        """``E`` boolean tensor: experiments whose datum is a collapse time."""
+    def collapse(self) -> Bool[Tensor, "experiments"]:
+        """Experiments whose datum is a collapse time."""
         return torch.tensor([e.kind == "collapse" for e in self.experiments])
 
     @cached_property
@@ -198,35 +199,35 @@ class ExperimentBatch:
         )
 
     @cached_property
-    def designs(self) -> Tensor:
+    def designs(self) -> Float[Tensor, "experiments 2"]:
         """``E x 2`` tensor, measured (We, R_inf*)."""
         return torch.tensor([e.design for e in self.experiments], dtype=torch.float64)
 
     @cached_property
-    def exposures(self) -> Tensor:
+    def exposures(self) -> Float[Tensor, "experiments"]:
         """``E`` tensor, known exposure of a frame, dimensionless."""
         return torch.tensor([e.exposure for e in self.experiments], dtype=torch.float64)
 
     @cached_property
-    def mask(self) -> Tensor:
-        """``E x T`` boolean tensor: frames that exist."""
+    def mask(self) -> Bool[Tensor, "experiments frames"]:
+        """Frames that exist."""
         return self._padded([torch.ones_like(e.times, dtype=torch.bool) for e in self.experiments], False)
 
     @cached_property
-    def times(self) -> Tensor:
+    def times(self) -> Float[Tensor, "experiments frames"]:
         """``E x T`` tensor, dimensionless; padding continues each row, so that rows increase."""
         times = self._padded([e.times for e in self.experiments], 0.0)
         tail = 1e-3 * torch.cumsum((~self.mask).to(times), dim=1)
         return torch.where(self.mask, times, times.amax(1, keepdim=True) + tail)
 
     @cached_property
-    def mean(self) -> Tensor:
-        """``E x T`` tensor: mean over repeats; 0 in the padding."""
+    def mean(self) -> Float[Tensor, "experiments frames"]:
+        """Mean over repeats; 0 in the padding."""
         return self._padded([e.mean for e in self.experiments], 0.0)
 
     @cached_property
-    def counts(self) -> Tensor:
-        """``E x T`` tensor: repeats behind each frame of the mean; 1 in the padding."""
+    def counts(self) -> Float[Tensor, "experiments frames"]:
+        """Repeats behind each frame of the mean; 1 in the padding."""
         return self._padded([e.counts.to(torch.float64) for e in self.experiments], 1.0)
 
     @cached_property
@@ -242,16 +243,18 @@ class ExperimentBatch:
         return torch.stack([x.square().sum(0) for x in padded]), torch.stack([(x * previous(x)).sum(0) for x in padded])
 
     @cached_property
-    def nuisance_sds(self) -> Tensor:
+    def nuisance_sds(self) -> Float[Tensor, "experiments 3"]:
         """``E x 3`` tensor of prior standard deviations; columns as in ``NUISANCES``."""
         return torch.stack([e.nuisance.sds() for e in self.experiments])
 
-    def sd(self, prediction: Tensor) -> Tensor:
+    def sd(self, prediction: Float[Tensor, "*batch experiments frames"]) -> Float[Tensor, "*batch experiments frames"]:
         """Noise of one repeat at a prediction ``... x E x T``; 1 in the padding."""
         sd = torch.where(self.mask, self.noise.sd(prediction, self.times), 1.0)
         return torch.where(self.collapse[:, None] & self.mask, self._own_sd, sd) if bool(self.collapse.any()) else sd
 
-    def whiten(self, values: Tensor, sd: Tensor) -> Tensor:
+    def whiten(
+        self, values: Float[Tensor, "*#batch experiments frames"], sd: Float[Tensor, "*#batch experiments frames"]
+    ) -> Float[Tensor, "*#batch experiments frames"]:
         """Scale differences ``... x E x T`` so that the mean of the repeats has unit, independent noise."""
         scaled = torch.where(self.mask, values / sd, 0.0)
         if self._innovations is not None:
@@ -259,7 +262,12 @@ class ExperimentBatch:
             scaled = own * scaled - before * previous(scaled)
         return scaled * self.counts.sqrt()
 
-    def terms(self, prediction: Tensor, sd: Tensor, innovations: tuple[Tensor, Tensor] | None) -> tuple[Tensor, Tensor]:
+    def terms(
+        self,
+        prediction: Float[Tensor, "*#batch experiments frames"],
+        sd: Float[Tensor, "*#batch experiments frames"],
+        innovations: tuple[Float[Tensor, "*#batch experiments frames"], Float[Tensor, "*#batch experiments frames"]] | None,
+    ) -> tuple[Float[Tensor, "*#batch experiments"], Float[Tensor, "*#batch experiments"]]:
         """Squared misfit and normaliser of each experiment under any noise: two ``... x E`` tensors, the second in nats.
 
         The log likelihood is minus half the first, minus the second; noise that is ``s`` times as large divides the first by
@@ -267,7 +275,7 @@ class ExperimentBatch:
 
         Args:
             prediction: ``... x E x T`` tensor.
-            sd: ``... x E x T`` tensor, noise of one repeat; 1 in the padding.
+            sd: noise of one repeat; 1 in the padding.
             innovations: as of :meth:`Noise.innovations`, ``... x E x T`` each; None for independent frames.
         """
         weight = torch.where(self.mask, 1.0 / sd, 0.0)
@@ -292,12 +300,12 @@ class ExperimentBatch:
         return both + last.square() * previous(squares)
 
     @cached_property
-    def sizes(self) -> Tensor:
-        """``E`` tensor: observations of each experiment, all repeats and frames."""
+    def sizes(self) -> Float[Tensor, "experiments"]:
+        """Observations of each experiment, all repeats and frames."""
         return torch.where(self.mask, self.counts, 0.0).sum(-1)
 
-    def log_likelihood(self, prediction: Tensor) -> Tensor:
-        """Log density of all repeats and frames of each experiment: ``... x E x T`` to ``... x E``; ``-inf`` for NaN."""
+    def log_likelihood(self, prediction: Float[Tensor, "*batch experiments frames"]) -> Float[Tensor, "*batch experiments"]:
+        """Log density of all repeats and frames of each experiment; ``-inf`` for NaN."""
         square, normaliser = self.terms(prediction, self.sd(prediction), self._innovations)
         value = -0.5 * square - normaliser
         return torch.where(torch.isnan(value), -torch.inf, value)
@@ -305,21 +313,21 @@ class ExperimentBatch:
 
 def predict(
     simulator: Simulator,
-    parameters: Tensor,
+    parameters: Float[Tensor, "*#batch parameters"],
     film: Film | ExperimentBatch,
-    shifts: Tensor | None = None,
+    shifts: Float[Tensor, "*#batch experiments 3"] | None = None,
     *,
-    times: Tensor | None = None,
+    times: Float[Tensor, "experiments frames"] | None = None,
     bundled: bool = False,
-) -> Tensor:
+) -> Float[Tensor, "*#batch experiments frames"]:
     """What the camera would see of each gel in each experiment.
 
     Args:
         simulator: makes the bubbles.
-        parameters: ``batch_shape x p`` tensor, SI.
+        parameters: SI.
         film: the experiments, for their designs and times: an :class:`ExperimentBatch`, or a :class:`Film` of planned ones.
-        shifts: ``batch_shape x E x 3`` tensor of nuisances in physical size; none when not given.
-        times: ``E x T`` tensor, measured, dimensionless, increasing; those of the frames when not given.
+        shifts: nuisances in physical size; none when not given.
+        times: measured, dimensionless, increasing; those of the frames when not given.
         bundled: whether the last batch dimension holds the members of a bundle
             (:meth:`imr_torch.simulate.Simulator.bundle`), the leader first.
 

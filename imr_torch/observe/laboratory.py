@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import torch
+from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.errors import ConvergenceError, InputDataError
@@ -19,10 +20,10 @@ class SimulatedLaboratory:
 
     Args:
         simulator: the truth's physics.
-        truth: ``p`` tensor, the gel's parameters, SI.
+        truth: the gel's parameters, SI.
         noise: observation noise.
         repeats: curves per design.
-        times: ``n_t`` tensor of dimensionless frame times; 81 frames up to t* = 4 by default.
+        times: dimensionless frame times; 81 frames up to t* = 4 by default.
         scatter: relative standard deviations of the achieved We and R_inf* about what was asked; the achieved values
             are measured and reported, with ``nuisance`` as their error.
         nuisance: errors of the measured design and clock.
@@ -38,10 +39,10 @@ class SimulatedLaboratory:
     """
 
     simulator: Simulator
-    truth: Tensor
+    truth: Float[Tensor, "parameters"]
     noise: Noise = field(default_factory=Noise)
     repeats: int = 100
-    times: Tensor = field(default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64))
+    times: Float[Tensor, "frames"] = field(default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64))
     scatter: tuple[float, float] = (0.0, 0.0)
     nuisance: Nuisance = field(default_factory=Nuisance)
 
@@ -49,7 +50,7 @@ class SimulatedLaboratory:
         if self.repeats < 1:
             raise InputDataError(f"SimulatedLaboratory.repeats is {self.repeats}; at least 1 curve per design is needed.")
 
-    def shoot(self, design: Tensor, *, seed: int, label: str = "") -> Experiment:
+    def shoot(self, design: Real[Tensor, "2"], *, seed: int, label: str = "") -> Experiment:
         """One experiment at ``design`` (2 numbers, We and R_inf*).
 
         Raises:

@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
@@ -82,7 +83,7 @@ class Landmarks:
         """Times at which one phase ends and the next begins, in order."""
         return tuple(sorted((self.time_of_max_s, *self.collapse_times_s, *self.rebound_times_s)))
 
-    def phase_index(self, time_s: Tensor) -> Tensor:
+    def phase_index(self, time_s: Float[Tensor, "*batch"]) -> Int[Tensor, "*batch"]:
         """Phase of each time: 0 growth, 1 first collapse, 2 first rebound, 3 second collapse, ...
 
         Args:

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
@@ -56,17 +57,19 @@ class Noise:
         )
         return f"{self.scale:.2f} x the published law with {self.scale * self.floor:.4f} in R* everywhere, {correlated}"
 
-    def sd(self, radius: Tensor, times: Tensor) -> Tensor:
+    def sd(self, radius: Float[Tensor, "*#batch"], times: Float[Tensor, "*#batch"]) -> Float[Tensor, "*#batch"]:
         """Standard deviation of one frame; arguments dimensionless and broadcastable."""
         law = self.slope * (radius - 1.0).abs() + self.drift * times.abs()
         return self.scale * torch.sqrt(law.square() + self.floor**2)
 
-    def decorrelation(self, times: Tensor, mask: Tensor) -> Tensor | None:
+    def decorrelation(
+        self, times: Float[Tensor, "experiments frames"], mask: Bool[Tensor, "experiments frames"]
+    ) -> Float[Tensor, "experiments frames frames"] | None:
         """Inverse Cholesky factors of the correlation matrices: ``E x T x T``, or None for independent frames.
 
         Args:
-            times: ``E x T`` tensor, dimensionless.
-            mask: ``E x T`` boolean tensor, frames that count; the others are left independent.
+            times: dimensionless.
+            mask: frames that count; the others are left independent.
         """
         if self.correlation_time == 0.0:
             return None
@@ -77,12 +80,14 @@ class Noise:
         correlation = torch.where(eye.bool(), eye, correlation)
         return torch.linalg.solve_triangular(torch.linalg.cholesky(correlation), eye, upper=False)
 
-    def innovations(self, times: Tensor, mask: Tensor) -> tuple[Tensor, Tensor] | None:
+    def innovations(
+        self, times: Float[Tensor, "experiments frames"], mask: Bool[Tensor, "experiments frames"]
+    ) -> tuple[Float[Tensor, "experiments frames"], Float[Tensor, "experiments frames"]] | None:
         """The same factors by their two diagonals, or None for independent frames: an exponential correlation is Markov.
 
         Args:
-            times: ``E x T`` tensor, dimensionless, increasing.
-            mask: ``E x T`` boolean tensor, frames that count; in each row the first ones.
+            times: dimensionless, increasing.
+            mask: frames that count; in each row the first ones.
 
         Returns:
             Two ``E x T`` tensors: factors of each frame and of the one before it, which is subtracted.
@@ -94,7 +99,9 @@ class Noise:
         own = (-torch.expm1(-2.0 * gap)).rsqrt()
         return own, torch.exp(-gap) * own
 
-    def draw(self, radius: Tensor, times: Tensor, repeats: int, *, generator: torch.Generator) -> Tensor:
+    def draw(
+        self, radius: Float[Tensor, "frames"], times: Float[Tensor, "frames"], repeats: int, *, generator: torch.Generator
+    ) -> Float[Tensor, "repeats frames"]:
         """Noisy curves of one experiment: ``repeats x n_t`` from a true curve ``n_t``."""
         noise = torch.randn(repeats, times.shape[0], generator=generator, dtype=radius.dtype)
         decorrelate = self.decorrelation(times[None], torch.ones_like(times[None], dtype=torch.bool))
@@ -103,13 +110,18 @@ class Noise:
         return radius + self.sd(radius, times) * noise
 
 
-def previous(values: Tensor) -> Tensor:
+def previous(values: Float[Tensor, "*batch frames"]) -> Float[Tensor, "*batch frames"]:
     """Values ``... x T`` moved by one frame, 0 before the first."""
     return torch.nn.functional.pad(values[..., :-1], (1, 0))
 
 
 def fit_noise(
-    noise: Noise, residuals: list[Tensor], predictions: list[Tensor], times: list[Tensor], *, fitted: float = 0.0
+    noise: Noise,
+    residuals: list[Float[Tensor, "_"]],
+    predictions: list[Float[Tensor, "_"]],
+    times: list[Float[Tensor, "_"]],
+    *,
+    fitted: float = 0.0,
 ) -> Noise:
     """Maximum-likelihood scale, floor and correlation time of residuals; slope and drift keep their proportion.
 

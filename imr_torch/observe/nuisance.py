@@ -7,6 +7,7 @@ marginalises over them, so that an error of Rmax is not mistaken for a change of
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
@@ -40,17 +41,19 @@ class Nuisance:
             if not 0.0 <= value < 1.0:
                 raise InputDataError(f"Nuisance.{name} is {value}; expected a standard deviation in [0, 1).")
 
-    def sds(self) -> Tensor:
+    def sds(self) -> Float[Tensor, "3"]:
         """The three standard deviations in the order of ``NUISANCES``."""
         return torch.tensor([self.max_radius, self.time_zero, self.rest_radius], dtype=torch.float64)
 
 
-def displaced(designs: Tensor, times: Tensor, shifts: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def displaced(
+    designs: Float[Tensor, "*#batch 2"], times: Float[Tensor, "*#batch frames"], shifts: Float[Tensor, "*#batch 3"]
+) -> tuple[Float[Tensor, "*#batch 2"], Float[Tensor, "*#batch frames"], Float[Tensor, "*#batch 1"]]:
     """Design and times that the bubble truly had, given what was measured and the shifts.
 
     Args:
-        designs: ``... x 2`` tensor, measured (We, R_inf*).
-        times: ``... x n_t`` tensor, measured, dimensionless with the measured Rmax.
+        designs: measured (We, R_inf*).
+        times: measured, dimensionless with the measured Rmax.
         shifts: ``... x 3`` tensor in the order of ``NUISANCES`` (relative, dimensionless, relative).
 
     Returns:
@@ -70,13 +73,15 @@ def displaced(designs: Tensor, times: Tensor, shifts: Tensor) -> tuple[Tensor, T
     return torch.cat((weber, rest.clamp(1e-3, 0.999)), dim=-1), (times + shifts[..., 1:2]) / scale, scale
 
 
-def impossible(times: Tensor, shifts: Tensor, earliest: float) -> Tensor:
+def impossible(
+    times: Float[Tensor, "*#batch experiments frames"], shifts: Float[Tensor, "*#batch experiments 3"], earliest: float
+) -> Bool[Tensor, "*#batch experiments"]:
     """Which experiments shifts ``... x E x 3`` take where there is no bubble to simulate: ``... x E`` boolean tensor.
 
     A search may step there; it is a member that failed, and no error.
 
     Args:
-        times: ``... x E x n_t`` tensor, measured, dimensionless.
+        times: measured, dimensionless.
         shifts: as in :func:`displaced`.
         earliest: t* to which a first frame may be taken; one that was measured earlier may stay there.
     """

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
@@ -83,8 +84,8 @@ class RadiusTrace:
 
     Args:
         experiment_id: name of the experiment, unique within a :class:`TraceSet`.
-        time_s: ``n`` tensor, s, strictly increasing; stored as float64.
-        radius_m: ``n`` tensor, m, positive; stored as float64.
+        time_s: s, strictly increasing; stored as float64.
+        radius_m: m, positive; stored as float64.
         source: file (or simulation) that the trace comes from.
         given: what the laboratory says about the experiment.
 
@@ -99,8 +100,8 @@ class RadiusTrace:
     """
 
     experiment_id: str
-    time_s: Tensor
-    radius_m: Tensor
+    time_s: Real[Tensor, "frames"]
+    radius_m: Real[Tensor, "frames"]
     source: str
     given: Given = Given()
 

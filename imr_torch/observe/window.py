@@ -2,17 +2,18 @@
 
 import math
 
+from jaxtyping import Float
 from torch import Tensor
 
 
-def collapse_time(times: Tensor, radius: Tensor, number: int) -> float:
+def collapse_time(times: Float[Tensor, "frames"], radius: Float[Tensor, "frames"], number: int) -> float:
     """Time of collapse ``number`` (1 is the first) of a curve that starts at its maximum; infinity when not reached.
 
     A minimum counts when the curve climbs from it by a tenth of its range, so frame noise makes none.
 
     Args:
         times: ``n_t`` tensor.
-        radius: ``n_t`` tensor, any unit.
+        radius: any unit.
         number: which collapse.
 
     >>> import torch

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -33,9 +34,9 @@ class GaussianShots:
     True
     """
 
-    precision: Tensor
-    linear: Tensor
-    constant: Tensor
+    precision: Float[Tensor, "experiments controls controls"]
+    linear: Float[Tensor, "experiments controls"]
+    constant: Float[Tensor, "experiments"]
 
     @classmethod
     def of_fits(cls, fits: Sequence[ModelFit], evidence: Sequence[float]) -> "GaussianShots":
@@ -60,13 +61,18 @@ class GaussianShots:
     def __getitem__(self, rows: slice) -> "GaussianShots":
         return GaussianShots(self.precision[rows], self.linear[rows], self.constant[rows])
 
-    def given(self, scatter: Tensor, mean: Tensor, precision: Tensor) -> "GivenScatter":
+    def given(
+        self,
+        scatter: Float[Tensor, "draws controls"],
+        mean: Float[Tensor, "controls"],
+        precision: Float[Tensor, "controls controls"],
+    ) -> "GivenScatter":
         """Evidence and posterior for given scatters.
 
         Args:
-            scatter: ``n x d`` tensor, standard deviations of the shots' controls about the population's.
-            mean: ``d`` tensor, prior mean of the population's controls.
-            precision: ``d x d`` tensor, prior precision of them.
+            scatter: standard deviations of the shots' controls about the population's.
+            mean: prior mean of the population's controls.
+            precision: prior precision of them.
         """
         A, b, root = self.precision, self.linear, scatter[:, None, :]
         inner = torch.eye(A.shape[-1], dtype=A.dtype) + root[..., :, None] * A * root[..., None, :]
@@ -97,43 +103,45 @@ class GivenScatter:
 
     Args:
         shots: the shots.
-        evidence: ``n`` tensor, log density of all data, nats.
-        centre: ``n x d`` tensor, posterior mean of the population's controls.
-        chol: ``n x d x d`` tensor, Cholesky factor of their posterior precision.
-        covariance: ``n x E x d x d`` tensor, of each shot's controls given the population's.
-        factor: ``n x E x d x d`` tensor, a square root of it.
-        constant: ``n x E`` tensor; with ``linear`` and ``by_shot`` the likelihood of each shot as a function of the centre.
+        evidence: log density of all data, nats.
+        centre: posterior mean of the population's controls.
+        chol: Cholesky factor of their posterior precision.
+        covariance: of each shot's controls given the population's.
+        factor: a square root of it.
+        constant: with ``linear`` and ``by_shot`` the likelihood of each shot as a function of the centre.
         linear: ``n x E x d`` tensor.
         by_shot: ``n x E x d x d`` tensor.
     """
 
     shots: GaussianShots
-    evidence: Tensor
-    centre: Tensor
-    chol: Tensor
-    covariance: Tensor
-    factor: Tensor
-    constant: Tensor
-    linear: Tensor
-    by_shot: Tensor
+    evidence: Float[Tensor, "draws"]
+    centre: Float[Tensor, "draws controls"]
+    chol: Float[Tensor, "draws controls controls"]
+    covariance: Float[Tensor, "draws experiments controls controls"]
+    factor: Float[Tensor, "draws experiments controls controls"]
+    constant: Float[Tensor, "draws experiments"]
+    linear: Float[Tensor, "draws experiments controls"]
+    by_shot: Float[Tensor, "draws experiments controls controls"]
 
-    def log_likelihood(self, centre: Tensor) -> Tensor:
+    def log_likelihood(self, centre: Float[Tensor, "draws controls"]) -> Float[Tensor, "draws"]:
         """Log density of all data given the population's controls (``n x d``), nats: ``n`` tensor."""
         square = (centre[:, None] * (self.by_shot @ centre[:, None, :, None])[..., 0]).sum(-1)
         return (self.constant + (self.linear * centre[:, None]).sum(-1) - 0.5 * square).sum(1)
 
-    def shot_means(self, centre: Tensor) -> Tensor:
-        """Mean of each shot's controls given the population's: ``n x d`` to ``n x E x d``."""
+    def shot_means(self, centre: Float[Tensor, "draws controls"]) -> Float[Tensor, "draws experiments controls"]:
+        """Mean of each shot's controls given the population's."""
         A, b = self.shots.precision, self.shots.linear
         pull = b - (A @ centre[:, None, :, None])[..., 0]
         return centre[:, None] + (self.covariance @ pull[..., None])[..., 0]
 
 
-def without_prior(mean: Tensor, covariance: Tensor, prior: ModelBelief) -> tuple[Tensor, Tensor]:
+def without_prior(
+    mean: Float[Tensor, "controls"], covariance: Float[Tensor, "controls controls"], prior: ModelBelief
+) -> tuple[Float[Tensor, "controls controls"], Float[Tensor, "controls"]]:
     """Precision and linear term of the likelihood whose posterior has these moments; directions wider than the prior are flat.
 
     Args:
-        mean: ``d`` tensor, of the controls.
+        mean: of the controls.
         covariance: ``d x d`` tensor.
         prior: what is divided out.
     """

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import torch
+from jaxtyping import Float
 from scipy.stats import kendalltau
 from torch import Tensor
 
@@ -101,8 +102,8 @@ def infer_population(
     )
 
 
-def coordinate_units(prior: ModelBelief) -> Tensor:
-    """``d`` tensor: what a control of 1 is in the coordinate whose scatter is stated, a logarithm where there is one.
+def coordinate_units(prior: ModelBelief) -> Float[Tensor, "controls"]:
+    """What a control of 1 is in the coordinate whose scatter is stated, a logarithm where there is one.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.population import coordinate_units

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import torch
+from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Verdict
@@ -35,17 +36,17 @@ class ShotLikelihood:
 
     Args:
         label: of the shot.
-        precision: ``d x d`` tensor of the quadratic part.
-        linear: ``d`` tensor of the quadratic part.
+        precision: the quadratic part.
+        linear: the quadratic part.
         constant: of the quadratic part, nats.
         centre: ``d`` tensor about which the polynomial is taken.
         unscale: ``d x d`` tensor that takes ``z - centre`` to posterior standard deviations.
-        exponents: ``K x d`` tensor of the monomials.
-        coefficients: ``(1 + GROUPS) x K`` tensor: of all draws, and without each group of them.
+        exponents: the monomials.
+        coefficients: of all draws, and without each group of them.
         misses: what the polynomial leaves at a draw, leave-one-out, nats: a standard deviation, from the mean absolute
             value; noise of the nuisances in part.
-        mean: ``d`` tensor, mean of ``z`` under the shot's own posterior.
-        sd: ``d`` tensor, its standard deviation.
+        mean: mean of ``z`` under the shot's own posterior.
+        sd: its standard deviation.
         draws: that were used.
         effective_samples: of them, under the shot's own posterior.
         reliable: whether draws and fit of the shot are reliable.
@@ -67,16 +68,16 @@ class ShotLikelihood:
     """
 
     label: str
-    precision: Tensor
-    linear: Tensor
+    precision: Float[Tensor, "controls controls"]
+    linear: Float[Tensor, "controls"]
     constant: float
-    centre: Tensor
-    unscale: Tensor
-    exponents: Tensor
-    coefficients: Tensor
+    centre: Float[Tensor, "controls"]
+    unscale: Float[Tensor, "controls controls"]
+    exponents: Real[Tensor, "monomials controls"]
+    coefficients: Float[Tensor, "groups monomials"]
     misses: float
-    mean: Tensor
-    sd: Tensor
+    mean: Float[Tensor, "controls"]
+    sd: Float[Tensor, "controls"]
     draws: int
     effective_samples: float
     reliable: bool
@@ -135,12 +136,12 @@ class ShotLikelihood:
         coefficients[:, 0] -= constant
         return ShotLikelihood(**vars(self) | {"coefficients": coefficients, "constant": constant})
 
-    def correction(self, controls: Tensor) -> Tensor:
+    def correction(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch groups"]:
         """The polynomial at ``... x d`` controls, of all draws and without each group: ``... x (1 + GROUPS)``."""
         whitened = (controls - self.centre) @ self.unscale.mT
         return _monomials(whitened, self.exponents) @ self.coefficients.mT
 
-    def log_prob(self, controls: Tensor) -> Tensor:
+    def log_prob(self, controls: Float[Tensor, "draws controls"]) -> Float[Tensor, "draws"]:
         """Log likelihood at ``n x d`` controls, nats: ``n``."""
         return self.constant + _quadratic(controls, self.precision, self.linear) + self.correction(controls)[..., 0]
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.material import ModelBelief
@@ -27,18 +28,18 @@ class Cells:
     """Cells of a grid over the scatters that vary, finer where these are small.
 
     Args:
-        low: ``n x k`` tensor, lower corners, of the controls.
+        low: lower corners, of the controls.
         width: ``n x k`` tensor.
-        middle: ``n x d`` tensor, centres; 0 where a scatter does not vary.
-        log_prior: ``n`` tensor, log probability of each under half-normal priors.
-        evidence: ``n`` tensor, log density of all data in the middle of each, nats.
+        middle: centres; 0 where a scatter does not vary.
+        log_prior: log probability of each under half-normal priors.
+        evidence: log density of all data in the middle of each, nats.
     """
 
-    low: Tensor
-    width: Tensor
-    middle: Tensor
-    log_prior: Tensor
-    evidence: Tensor
+    low: Float[Tensor, "cells varying"]
+    width: Float[Tensor, "cells varying"]
+    middle: Float[Tensor, "cells controls"]
+    log_prior: Float[Tensor, "cells"]
+    evidence: Float[Tensor, "cells"]
 
     @property
     def log_evidence(self) -> float:
@@ -46,18 +47,18 @@ class Cells:
         return float(torch.logsumexp(self.log_prior + self.evidence, 0))
 
     @property
-    def weights(self) -> Tensor:
+    def weights(self) -> Float[Tensor, "cells"]:
         """``n`` tensor, posterior probability of each cell."""
         return torch.softmax(self.log_prior + self.evidence, 0)
 
 
-def cells(shots: GaussianShots, prior: ModelBelief, scale: Tensor) -> Cells:
+def cells(shots: GaussianShots, prior: ModelBelief, scale: Float[Tensor, "controls"]) -> Cells:
     """The grid with its prior and the evidence of the shots.
 
     Args:
         shots: the shots.
         prior: of the population's centre, in the model's controls.
-        scale: ``d`` tensor, scale of the half-normal prior of each scatter; 0 where it does not vary.
+        scale: scale of the half-normal prior of each scatter; 0 where it does not vary.
 
     >>> import torch
     >>> from imr_torch import wide_prior
@@ -87,18 +88,18 @@ def cells(shots: GaussianShots, prior: ModelBelief, scale: Tensor) -> Cells:
     return Cells(low, width, middle, log_prior, evidence)
 
 
-def half_normal(values: Tensor, scale: Tensor) -> Tensor:
+def half_normal(values: Float[Tensor, "cells varying"], scale: Float[Tensor, "varying"]) -> Float[Tensor, "cells"]:
     """Log density of independent half-normal values ``n x k`` with scales ``k``: ``n`` tensor."""
     return (math.log(2.0) - 0.5 * math.log(2.0 * math.pi) - scale.log() - 0.5 * (values / scale).square()).sum(1)
 
 
-def any_scatter(shots: GaussianShots, prior: ModelBelief, scale: Tensor) -> float:
+def any_scatter(shots: GaussianShots, prior: ModelBelief, scale: Float[Tensor, "controls"]) -> float:
     """Log evidence that some of the scatters are not zero: the mean over all sets of parameters that may vary, nats.
 
     Args:
         shots: the shots.
         prior: of the population's centre.
-        scale: ``d`` tensor, of the prior of each scatter; 0 where it does not vary.
+        scale: of the prior of each scatter; 0 where it does not vary.
     """
     varying = torch.nonzero(scale)[:, 0].tolist()
     logs = []

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.labels import plain
@@ -88,10 +89,10 @@ class Population:
     Args:
         prior: of the population's centre, which is its median in every parameter.
         shots: their likelihoods.
-        designs: ``E x 2`` tensor, (We, R_inf*).
+        designs: (We, R_inf*).
         noise: of the shots' fits.
         varying: parameters that may differ from shot to shot.
-        units: ``d`` tensor, what a control of 1 is in the coordinate whose scatter is stated.
+        units: what a control of 1 is in the coordinate whose scatter is stated.
         scale: of the half-normal prior of the scatters.
         found: weighed draws of centre, scatters and shots.
         log_evidence: of all data with every parameter of ``varying`` scattered, nats.
@@ -117,10 +118,10 @@ class Population:
 
     prior: ModelBelief
     shots: tuple[ShotLikelihood, ...]
-    designs: Tensor
+    designs: Float[Tensor, "experiments 2"]
     noise: Noise
     varying: tuple[str, ...]
-    units: Tensor
+    units: Float[Tensor, "controls"]
     scale: float
     found: WeighedPopulation
     log_evidence: float
@@ -324,13 +325,13 @@ def scatter_words(prior: ModelBelief, name: str, interval: Interval) -> str:
     return f"standard deviation between shots of {scatter_of(prior, name)}: {middle:.3f} (90 %: {low:.3f} to {high:.3f})"
 
 
-def scatter_interval(found: WeighedPopulation, column: int, units: Tensor) -> Interval:
+def scatter_interval(found: WeighedPopulation, column: int, units: Float[Tensor, "controls"]) -> Interval:
     """5, 50, 95 % quantile of one scatter."""
     low, middle, high = quantiles(found.scatter[:, column] * units[column], found.weights)
     return low, middle, high
 
 
-def quantiles(values: Tensor, weights: Tensor, levels: Sequence[float] = LEVELS) -> list[float]:
+def quantiles(values: Float[Tensor, "draws"], weights: Float[Tensor, "draws"], levels: Sequence[float] = LEVELS) -> list[float]:
     """Quantiles of weighed draws, interpolated between them."""
     order = values.argsort()
     below = weights[order].cumsum(0) - 0.5 * weights[order]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.importance import kish, largest_shape, smooth
@@ -36,12 +37,12 @@ class Problem:
     Args:
         shots: their likelihoods.
         prior: of the population's centre, in the model's controls.
-        scale: ``d`` tensor, scale of the half-normal prior of the scatter of each control; 0 where it does not vary.
+        scale: scale of the half-normal prior of the scatter of each control; 0 where it does not vary.
     """
 
     shots: tuple[ShotLikelihood, ...]
     prior: ModelBelief
-    scale: Tensor
+    scale: Float[Tensor, "controls"]
 
     @property
     def varying(self) -> list[int]:
@@ -49,7 +50,7 @@ class Problem:
         return torch.nonzero(self.scale)[:, 0].tolist()
 
     @cached_property
-    def precision(self) -> Tensor:
+    def precision(self) -> Float[Tensor, "controls controls"]:
         """``d x d`` tensor, prior precision of the centre."""
         return torch.cholesky_inverse(self.prior.chol)
 
@@ -68,18 +69,18 @@ class WeighedPopulation:
     """Draws of a population's posterior.
 
     Args:
-        scatter: ``n x d`` tensor, of the controls.
-        centre: ``n x d`` tensor, the population's controls.
-        shots: ``n x E x d`` tensor, each shot's controls.
-        log_weights: ``n x (1 + GROUPS)`` tensor: from all draws of the shots, and without each group of them; the mean of
+        scatter: of the controls.
+        centre: the population's controls.
+        shots: each shot's controls.
+        log_weights: from all draws of the shots, and without each group of them; the mean of
             their exponentials estimates the evidence.
         refits: times that the Gaussian parts were fitted again.
     """
 
-    scatter: Tensor
-    centre: Tensor
-    shots: Tensor
-    log_weights: Tensor
+    scatter: Float[Tensor, "draws controls"]
+    centre: Float[Tensor, "draws controls"]
+    shots: Float[Tensor, "draws experiments controls"]
+    log_weights: Float[Tensor, "draws groups"]
     refits: int = 0
 
     @cached_property
@@ -92,7 +93,7 @@ class WeighedPopulation:
         return self._smoothed[1]
 
     @cached_property
-    def weights(self) -> Tensor:
+    def weights(self) -> Float[Tensor, "draws"]:
         """``n`` tensor, normalised and smoothed."""
         return torch.softmax(self._smoothed[0], 0)
 
@@ -107,7 +108,7 @@ class WeighedPopulation:
         return self.pareto_k <= largest_shape(len(self.weights)) and self.effective_samples >= 100.0
 
     @property
-    def log_evidences(self) -> Tensor:
+    def log_evidences(self) -> Float[Tensor, "groups"]:
         """``1 + GROUPS`` tensor, nats: from all draws of the shots, and without each group."""
         return torch.logsumexp(self.log_weights, 0) - math.log(len(self.log_weights))
 
@@ -117,7 +118,7 @@ class WeighedPopulation:
         weights = torch.softmax(self.log_weights[:, 0], 0)
         return float((len(weights) * weights).std() / math.sqrt(len(weights)))
 
-    def mean_error(self, values: Tensor) -> tuple[float, float]:
+    def mean_error(self, values: Float[Tensor, "draws"]) -> tuple[float, float]:
         """Mean of ``n`` values and its Monte Carlo standard error, by these draws and by those of the shots."""
         weights = torch.softmax(self.log_weights, 0)
         means = weights.mT @ values
@@ -125,7 +126,7 @@ class WeighedPopulation:
         return float(self.weights @ values), math.hypot(float(own), jackknife_error(means[1:]))
 
 
-def jackknife_error(values: Tensor) -> float:
+def jackknife_error(values: Float[Tensor, "groups"]) -> float:
     """Standard error from estimates that leave out one of as many groups each."""
     return float(((len(values) - 1) * values.var(correction=0)).sqrt())
 

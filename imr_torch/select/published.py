@@ -9,13 +9,14 @@ import math
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import PublishedFit, as_one_curve
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 
 
-def published_probabilities(fits: Sequence[PublishedFit], experiment: Experiment, noise: Noise) -> Tensor:
+def published_probabilities(fits: Sequence[PublishedFit], experiment: Experiment, noise: Noise) -> Float[Tensor, "models"]:
     """Probability of each model from one experiment alone, without its prior probability.
 
     Args:

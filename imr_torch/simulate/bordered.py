@@ -9,6 +9,7 @@ numbers and the memory, so a factorisation costs three inverses of the size of o
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 _LARGE = 64  # nodes from which on LAPACK is faster; the grids meant for use have a third of that
@@ -21,41 +22,41 @@ class Jacobian:
     Border columns are in the order (R, U, p, q, tau_w); ``G = 2`` fields live inside, ``tau`` and ``C``.
 
     Args:
-        inside: ``n x n x 2 x B`` tensor, ``d tau_t/d tau`` and ``d C_t/d C``.
-        outside: ``m x m x B`` tensor, ``d theta_t/d theta``.
-        inside_border: ``n x 5 x 2 x B`` tensor, derivatives of ``tau_t`` and ``C_t`` in the border.
+        inside: ``d tau_t/d tau`` and ``d C_t/d C``.
+        outside: ``d theta_t/d theta``.
+        inside_border: derivatives of ``tau_t`` and ``C_t`` in the border.
         outside_border: ``m x 5 x B`` tensor.
-        coupling_slope: ``n x B`` tensor, factor of ``d/dy tau`` in ``C_t``.
-        coupling: ``n x B`` tensor, factor of ``tau`` in ``C_t``.
-        velocity_row: ``4 x B`` tensor, ``dU'`` in (R, U, p, q).
-        pressure_row: ``5 x B`` tensor, ``q`` in the border (0 for itself).
-        wall_row: ``5 x B`` tensor, the wall's heat balance in the border.
-        pressure_slopes: ``2 x B`` tensor, ``q`` in the slopes of ``tau`` and ``C`` at the wall.
-        wall_slopes: ``3 x B`` tensor, the wall's balance in the slopes of ``tau``, ``C`` and ``theta`` at the wall.
-        velocity_time: ``B`` tensor, ``dU'/dt`` at a fixed state.
-        velocity_memory: ``K x B`` tensor, ``dU'`` in the gel's memory states.
-        memory_rows: ``K x 2 x B`` tensor, ``d memory_t`` in (R, U).
-        memory_memory: ``K x K x B`` tensor, ``d memory_t/d memory``.
+        coupling_slope: factor of ``d/dy tau`` in ``C_t``.
+        coupling: factor of ``tau`` in ``C_t``.
+        velocity_row: ``dU'`` in (R, U, p, q).
+        pressure_row: ``q`` in the border (0 for itself).
+        wall_row: the wall's heat balance in the border.
+        pressure_slopes: ``q`` in the slopes of ``tau`` and ``C`` at the wall.
+        wall_slopes: the wall's balance in the slopes of ``tau``, ``C`` and ``theta`` at the wall.
+        velocity_time: ``dU'/dt`` at a fixed state.
+        velocity_memory: ``dU'`` in the gel's memory states.
+        memory_rows: ``d memory_t`` in (R, U).
+        memory_memory: ``d memory_t/d memory``.
     """
 
-    inside: Tensor
-    outside: Tensor
-    inside_border: Tensor
-    outside_border: Tensor
-    coupling_slope: Tensor
-    coupling: Tensor
-    velocity_row: Tensor
-    pressure_row: Tensor
-    wall_row: Tensor
-    pressure_slopes: Tensor
-    wall_slopes: Tensor
-    velocity_time: Tensor
-    velocity_memory: Tensor
-    memory_rows: Tensor
-    memory_memory: Tensor
+    inside: Float[Tensor, "inside inside 2 members"]
+    outside: Float[Tensor, "outside outside members"]
+    inside_border: Float[Tensor, "inside 5 2 members"]
+    outside_border: Float[Tensor, "outside 5 members"]
+    coupling_slope: Float[Tensor, "inside members"]
+    coupling: Float[Tensor, "inside members"]
+    velocity_row: Float[Tensor, "4 members"]
+    pressure_row: Float[Tensor, "5 members"]
+    wall_row: Float[Tensor, "5 members"]
+    pressure_slopes: Float[Tensor, "2 members"]
+    wall_slopes: Float[Tensor, "3 members"]
+    velocity_time: Float[Tensor, "members"]
+    velocity_memory: Float[Tensor, "states members"]
+    memory_rows: Float[Tensor, "states 2 members"]
+    memory_memory: Float[Tensor, "states states members"]
 
 
-def invert(blocks: Tensor) -> Tensor:
+def invert(blocks: Float[Tensor, "rows rows *batch"]) -> Float[Tensor, "rows rows *batch"]:
     """Inverse of each ``blocks[:, :, b]``, batch last, by Gauss-Jordan without pivoting, possibly in place.
 
     The blocks are ``I/(h gamma) - J`` with dissipative ``J``. A vanishing pivot gives non-finite numbers, which make
@@ -88,7 +89,9 @@ class Factors:
         outer_wall_slope: ``m`` tensor, the same outside.
     """
 
-    def __init__(self, jacobian: Jacobian, shift: Tensor, slope: Tensor, wall_slope: Tensor, outer_wall_slope: Tensor) -> None:
+    def __init__(
+        self, jacobian: Jacobian, shift: Float[Tensor, "members"], slope: Tensor, wall_slope: Tensor, outer_wall_slope: Tensor
+    ) -> None:
         self._jacobian, self._shift, self._slope = jacobian, shift, slope
         self._inside, self._outside = _shifted_inverses(jacobian.inside, jacobian.outside, shift)
         self._heat, self._vapour = self._inside.unbind(2)
@@ -136,7 +139,7 @@ class Factors:
         matrix[5:, 5:].diagonal(dim1=0, dim2=1).add_(shift[:, None])
         return matrix
 
-    def solve(self, right: Tensor) -> Tensor:
+    def solve(self, right: Float[Tensor, "state members"]) -> Float[Tensor, "state members"]:
         """Solve for one right-hand side, ``(4 + 2n + m + K) x B`` in the layout of the state."""
         j = self._jacobian
         motion, wall, fields, memory = right.split_with_sizes(self._parts)

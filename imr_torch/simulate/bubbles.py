@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 import imr_torch.simulate.effects
@@ -113,25 +114,25 @@ class Setting(NamedTuple):
         temperature: of the medium, K.
     """
 
-    rest_radius: Tensor
-    tension: Tensor
-    slowness: Tensor
-    far: Tensor
-    image: Tensor
-    velocity: Tensor
-    saturation: Tensor
-    conduction: Tensor
-    exponent: Tensor
-    adiabatic: Tensor
-    gas: Tensor
-    warmth: Tensor
-    pace: Tensor
-    ambient: Tensor
-    resting: Tensor
-    temperature: Tensor
+    rest_radius: Float[Tensor, "members"]
+    tension: Float[Tensor, "members"]
+    slowness: Float[Tensor, "members"]
+    far: Float[Tensor, "members"]
+    image: Float[Tensor, "members"]
+    velocity: Float[Tensor, "members"]
+    saturation: Float[Tensor, "members"]
+    conduction: Float[Tensor, "members"]
+    exponent: Float[Tensor, "members"]
+    adiabatic: Float[Tensor, "members"]
+    gas: Float[Tensor, "members"]
+    warmth: Float[Tensor, "members"]
+    pace: Float[Tensor, "members"]
+    ambient: Float[Tensor, "members"]
+    resting: Float[Tensor, "members"]
+    temperature: Float[Tensor, "members"]
 
     @classmethod
-    def of(cls, designs: Tensor, conditions: Conditions) -> "Setting":
+    def of(cls, designs: Float[Tensor, "members 2"], conditions: Conditions) -> "Setting":
         """The setting of ``B x 2`` designs without effects."""
         outer = conditions.surroundings
         weber, rest = designs.unbind(1)
@@ -212,7 +213,12 @@ class Numbers(NamedTuple):
 
     @classmethod
     def of(
-        cls, setting: Setting, theta: Mapping[str, Tensor], size: Tensor, seconds: Tensor, conditions: Conditions
+        cls,
+        setting: Setting,
+        theta: Mapping[str, Float[Tensor, "members"]],
+        size: Float[Tensor, "members"],
+        seconds: Float[Tensor, "members"],
+        conditions: Conditions,
     ) -> "Numbers":
         """The numbers of a setting, dimensionless parameters of the gel, ``Rmax`` (m) and ``Rmax/U_c`` (s)."""
         outer, medium, gas = conditions.surroundings, conditions.medium, conditions.gas
@@ -262,7 +268,7 @@ class Bubbles:
         conditions: what the batch was made from.
         constants: what all bubbles share.
         numbers: what each has of its own.
-        parameters: ``p x B`` tensor, dimensionless, in the order of ``PARAMETERS``.
+        parameters: dimensionless, in the order of ``PARAMETERS``.
         terms: the stress terms that act in this batch.
         effects: the effects with laws of their own that act in this batch.
     """
@@ -270,19 +276,23 @@ class Bubbles:
     conditions: Conditions
     constants: Constants
     numbers: Numbers
-    parameters: Tensor
+    parameters: Float[Tensor, "parameters members"]
     terms: tuple[StressTerm, ...]
     effects: tuple[Effect, ...]
 
     @classmethod
     def of(
-        cls, parameters: Tensor, designs: Tensor, conditions: Conditions, terms: Sequence[StressTerm] | None = None
+        cls,
+        parameters: Float[Tensor, "members parameters"],
+        designs: Float[Tensor, "members 2"],
+        conditions: Conditions,
+        terms: Sequence[StressTerm] | None = None,
     ) -> "Bubbles":
         """Make a batch dimensionless.
 
         Args:
-            parameters: ``B x p`` tensor, SI.
-            designs: ``B x 2`` tensor, (We, R_inf*).
+            parameters: SI.
+            designs: (We, R_inf*).
             conditions: surroundings, contents and gel.
             terms: stress terms to choose from; all registered ones by default.
         """
@@ -307,7 +317,7 @@ class Bubbles:
     def __len__(self) -> int:
         return self.parameters.shape[1]
 
-    def take(self, members: Tensor) -> "Bubbles":
+    def take(self, members: Int[Tensor, "kept"]) -> "Bubbles":
         """The sub-batch of the members with these indices.
 
         Terms that none of them has are left out, or a few slow members would pay for everybody's. What has rows of the
@@ -320,7 +330,7 @@ class Bubbles:
         return replace(self, numbers=numbers, parameters=parameters, terms=terms)
 
     @cached_property
-    def theta(self) -> dict[str, Tensor]:
+    def theta(self) -> dict[str, Float[Tensor, "members"]]:
         """Dimensionless parameters, each a ``B`` tensor."""
         return dict(zip(PARAMETERS.names, self.parameters, strict=True))
 
@@ -334,16 +344,16 @@ class Bubbles:
         """Whether every law that acts is written with :mod:`imr_torch.elementary`, so that a complex step differentiates it."""
         return all(term.compilable for term in self.terms) and all(effect.compilable for effect in self.effects)
 
-    def memory_start(self) -> Tensor:
+    def memory_start(self) -> Float[Tensor, "states members"]:
         """Memory states at time zero, ``K x B``."""
         return memory_start(self.terms, self.numbers.rest_radius, self.theta)
 
-    def fastest_relaxation(self) -> Tensor:
+    def fastest_relaxation(self) -> Float[Tensor, "members"]:
         """Rate of each member's fastest memory, a ``B`` tensor; 0 for those without."""
         rates = [rate for term in self.terms if (rate := term.relaxation_rate(self.theta)) is not None]
         return torch.stack(rates).amax(0) if rates else torch.zeros_like(self.numbers.rest_radius)
 
-    def arguments(self, effect: Effect) -> list[Tensor]:
+    def arguments(self, effect: Effect) -> list[Float[Tensor, "members"]]:
         """The parameters of an effect, each a ``B`` tensor."""
         return [self.theta[name] for name in effect.names]
 

@@ -7,6 +7,7 @@ time scale, and the whole batch is one system for the fixed-step Runge-Kutta met
 """
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.elementary import Scalar, sqrt, where
@@ -60,15 +61,21 @@ def memory_share(step: float) -> float:
     return max(_MEMORY, step / _STABLE)
 
 
-def interpolate(nodes: Tensor, radius: Tensor, velocity: Tensor, acceleration: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:
+def interpolate(
+    nodes: Float[Tensor, "members steps"],
+    radius: Float[Tensor, "members steps"],
+    velocity: Float[Tensor, "members steps"],
+    acceleration: Float[Tensor, "members steps"],
+    times: Float[Tensor, "members frames"],
+) -> tuple[Float[Tensor, "members frames"], Float[Tensor, "members frames"]]:
     """Radius and velocity at given times by quintic Hermite interpolation between steps.
 
     Args:
-        nodes: ``B x n`` tensor, time of each step, non-decreasing.
+        nodes: time of each step, non-decreasing.
         radius: ``B x n`` tensor at the nodes.
         velocity: ``B x n`` tensor.
         acceleration: ``B x n`` tensor.
-        times: ``B x n_t`` tensor; before the first node a parabola goes on (a polynomial fitted to a tiny first step would
+        times: before the first node a parabola goes on (a polynomial fitted to a tiny first step would
             blow up the rounding errors there).
 
     Returns:

@@ -9,6 +9,7 @@ as functions of the bubble, which makes derivatives of the discrete solution thr
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.simulate.rhs import Equations
@@ -34,11 +35,17 @@ class Controller:
     tolerance: float
     order: int = 4
 
-    def error(self, before: Tensor, after: Tensor, error: Tensor, equations: Equations) -> Tensor:
+    def error(
+        self,
+        before: Float[Tensor, "state members"],
+        after: Float[Tensor, "state members"],
+        error: Float[Tensor, "state members"],
+        equations: Equations,
+    ) -> Float[Tensor, "members"]:
         """Scaled error of a step, a ``B`` tensor: at most 1 if the step may be accepted, infinite or NaN if it failed.
 
         Args:
-            before: ``nx x B`` tensor, the state before the step.
+            before: the state before the step.
             after: the state after it.
             error: its estimated error.
             equations: the system, which knows the layout of the state.
@@ -63,7 +70,7 @@ class Controller:
         )
         return torch.where(radius > 0.0, scaled.square().square().sum(0).sqrt().sqrt() / self.tolerance, torch.inf)
 
-    def factor(self, error: Tensor) -> Tensor:
+    def factor(self, error: Float[Tensor, "members"]) -> Float[Tensor, "members"]:
         """What to multiply the step by."""
         factor = SAFETY * error ** (-1.0 / self.order)
         return torch.where(torch.isfinite(error), factor.clamp(SHRINK, GROW), SHRINK)

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import ClassVar, Protocol
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.elementary import Law, Scalar, cos, exp, find, sin, where
@@ -31,7 +32,9 @@ class Driving(Protocol):
     [0, 3141592654]
     """
 
-    def __call__(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def __call__(
+        self, time: Float[Tensor, "*batch"]
+    ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
         """``time`` of any shape; three tensors of that shape."""
         ...
 
@@ -78,15 +81,17 @@ class LawDriving:
     """
 
     law: ClassVar[Law]
-    knots: Tensor = torch.tensor([0.0, 1.0], dtype=torch.float64)
-    cubics: Tensor = torch.zeros(4, 1, dtype=torch.float64)
+    knots: Float[Tensor, "knots"] = torch.tensor([0.0, 1.0], dtype=torch.float64)
+    cubics: Float[Tensor, "4 pieces"] = torch.zeros(4, 1, dtype=torch.float64)
 
     @property
     def values(self) -> tuple[float, ...]:
         """The numbers of the law, ``values`` of its arguments; none by default."""
         return ()
 
-    def __call__(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def __call__(
+        self, time: Float[Tensor, "*batch"]
+    ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
         """See :class:`Driving`."""
         return type(self).law(time, self.values, self.knots.to(time), self.cubics.to(time))
 
@@ -205,11 +210,11 @@ class TabulatedDriving(LawDriving):
     law = staticmethod(spline)
 
     @property
-    def knots(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def knots(self) -> Float[Tensor, "knots"]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Times of the samples, s."""
         return self._pieces[0]
 
     @property
-    def cubics(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def cubics(self) -> Float[Tensor, "4 pieces"]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The pieces of the spline."""
         return self._pieces[1]

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
@@ -22,19 +23,19 @@ class Grid:
     """Collocation nodes on one side of the wall, and derivatives of a field known at the wall and at the nodes.
 
     Args:
-        nodes: ``n`` tensor, ``r/R`` of the nodes; the wall (``r/R = 1``) is not among them.
-        first: ``(n+1) x (n+1)`` tensor, ``d/dy``; row and column 0 are the wall.
-        laplacian: ``n x (n+1)`` tensor, ``d^2/dy^2 + (2/y) d/dy`` at the nodes.
+        nodes: ``r/R`` of the nodes; the wall (``r/R = 1``) is not among them.
+        first: ``d/dy``; row and column 0 are the wall.
+        laplacian: ``d^2/dy^2 + (2/y) d/dy`` at the nodes.
     """
 
-    nodes: Tensor
-    first: Tensor
-    laplacian: Tensor
+    nodes: Float[Tensor, "nodes"]
+    first: Float[Tensor, "nodes+1 nodes+1"]
+    laplacian: Float[Tensor, "nodes nodes+1"]
 
     def __len__(self) -> int:
         return self.nodes.shape[0]
 
-    def to(self, like: Tensor) -> "Grid":
+    def to(self, like: Float[Tensor, "..."]) -> "Grid":
         """The grid in the dtype and on the device of ``like``."""
         return Grid(self.nodes.to(like), self.first.to(like), self.laplacian.to(like))
 

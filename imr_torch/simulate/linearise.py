@@ -7,6 +7,7 @@ end.
 """
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.simulate.bordered import Jacobian
@@ -15,7 +16,9 @@ from imr_torch.simulate.rhs import Equations, Fields
 from imr_torch.simulate.wall import gas_loss_slopes, motion_slopes
 
 
-def linearise(equations: Equations, f: Fields) -> tuple[tuple[Tensor, Tensor], Jacobian]:
+def linearise(
+    equations: Equations, f: Fields
+) -> tuple[tuple[Float[Tensor, "members"], Float[Tensor, "states members"]], Jacobian]:
     """``U'`` and the rates of memory, and the Jacobian of a batch at a state."""
     acceleration, memory_rate, slope = motion_slopes(equations.bubbles, f.head)
     inside, inside_border, coupling, coupling_slope = _inside(equations, f)

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.elementary import Scalar
@@ -47,19 +48,19 @@ def density(setting: "Setting", factor: Scalar) -> "Setting":
     return setting._replace(pace=setting.pace * torch.exp(-0.5 * factor))
 
 
-def tension(setting: "Setting", factor: Tensor) -> "Setting":
+def tension(setting: "Setting", factor: Float[Tensor, "members"]) -> "Setting":
     """Surface tension, of the moving bubble and of the one at rest."""
     scale = torch.exp(factor)
     return setting._replace(tension=setting.tension * scale, resting=setting.resting * scale)
 
 
-def pressure(setting: "Setting", factor: Tensor) -> "Setting":
+def pressure(setting: "Setting", factor: Float[Tensor, "members"]) -> "Setting":
     """Pressure afar, during the collapse and at rest."""
     scale = torch.exp(factor)
     return setting._replace(far=setting.far + (scale - 1.0), ambient=setting.ambient * scale)
 
 
-def temperature(setting: "Setting", factor: Tensor) -> "Setting":
+def temperature(setting: "Setting", factor: Float[Tensor, "members"]) -> "Setting":
     """Temperature afar: vapour pressure, conduction of heat and viscous heating."""
     warm = setting.temperature * torch.exp(factor)
     more = torch.exp(_EVAPORATION / setting.temperature - _EVAPORATION / warm)

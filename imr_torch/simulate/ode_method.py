@@ -14,6 +14,7 @@ error are no better, since in violent collapses they depend chaotically on it.
 """
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.errors import UnsupportedError
@@ -40,7 +41,7 @@ class TransportField:
     >>> import torch
     >>> from imr_torch.material import PARAMETERS
     >>> from imr_torch.simulate import TransportField
-    >>> gel, design = PARAMETERS.pack({"G": [8310.0], "mu": [0.093]}), torch.tensor([[400.0, 0.22]]).double()
+    >>> gel, design = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})[None], torch.tensor([[400.0, 0.22]]).double()
     >>> field = TransportField.of(gel, design)
     >>> len(field), field.start()[0].tolist()  # one bubble, at R* = 1
     (1, [1.0])
@@ -52,8 +53,8 @@ class TransportField:
     @classmethod
     def of(
         cls,
-        parameters: Tensor,
-        designs: Tensor,
+        parameters: Float[Tensor, "members parameters"],
+        designs: Float[Tensor, "members 2"],
         *,
         conditions: Conditions | None = None,
         resolution: Resolution | None = None,
@@ -61,8 +62,8 @@ class TransportField:
         """The field of some gels and designs.
 
         Args:
-            parameters: ``B x p`` tensor, SI, in the order of ``PARAMETERS``.
-            designs: ``B x 2`` tensor, (We, R_inf*).
+            parameters: SI, in the order of ``PARAMETERS``.
+            designs: (We, R_inf*).
             conditions: surroundings, contents and gel.
             resolution: grids inside and outside the bubble.
         """
@@ -73,7 +74,7 @@ class TransportField:
     def __len__(self) -> int:
         return len(self.equations.bubbles)
 
-    def __call__(self, tick: Tensor, state: Tensor) -> Tensor:
+    def __call__(self, tick: Float[Tensor, ""], state: Float[Tensor, "rows members"]) -> Float[Tensor, "rows members"]:
         """Not defined: a member moves by its own step in a tick.
 
         Raises:
@@ -83,18 +84,18 @@ class TransportField:
             f"A TransportField is integrated by method={METHOD!r} only; other methods of torchdiffeq are not."
         )
 
-    def take(self, members: Tensor) -> "TransportField":
+    def take(self, members: Int[Tensor, "kept"]) -> "TransportField":
         """The field of the members with these indices: whole bundles."""
         return TransportField(self.equations.take(members), self.width)
 
-    def start(self) -> Tensor:
+    def start(self) -> Float[Tensor, "rows members"]:
         """The state at maximum radius, ``(4 + 2n + m + K + CONTROL) x B``."""
         state = self.equations.start()
         control = torch.zeros_like(state[:CONTROL])
         control[1] = FIRST_STEP
         return torch.cat((state, control))
 
-    def tick(self, state: Tensor, controller: Controller) -> Tensor:
+    def tick(self, state: Float[Tensor, "rows members"], controller: Controller) -> Float[Tensor, "rows members"]:
         """The state after one more step of every member, which stays where it is if its step fails."""
         x, (time, step, before) = state[:-CONTROL], state[-CONTROL:]
         lead = slice(None, None, self.width)
@@ -130,7 +131,7 @@ class RosenbrockMethod:
         **_: options of other methods.
     """
 
-    def __init__(self, func, y0: Tensor, rtol: float, atol: float, **_: object) -> None:
+    def __init__(self, func, y0: Float[Tensor, "rows members"], rtol: float, atol: float, **_: object) -> None:
         field = getattr(func, "base_func", func)
         if not isinstance(field, TransportField):
             raise UnsupportedError(f"method={METHOD!r} needs a TransportField and rising ticks, got {type(field).__name__}.")
@@ -141,7 +142,7 @@ class RosenbrockMethod:
         """No callbacks are called."""
         return set()
 
-    def integrate(self, t: Tensor) -> Tensor:
+    def integrate(self, t: Float[Tensor, "ticks"]) -> Float[Tensor, "ticks rows members"]:
         """States after each of the ticks ``t`` (``n``, the first is where ``y0`` stands), ``n x rows x B``."""
         with torch.no_grad():
             states = [self._state]

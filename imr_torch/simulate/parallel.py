@@ -22,6 +22,7 @@ from multiprocessing.process import BaseProcess
 
 import numpy as np
 import torch
+from jaxtyping import Real
 from torch import Tensor
 
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, InputDataError, UnsupportedError
@@ -151,7 +152,12 @@ class ParallelSimulator:
         """Those of the simulator."""
         return self.simulator.conditions
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def __call__(
+        self,
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
+    ) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
 
         Raises:
@@ -164,7 +170,12 @@ class ParallelSimulator:
             return differentiable(self, parameters, designs, times)
         return solve_batch(self._solve, _ALL, (parameters, designs, times))
 
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def bundle(
+        self,
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
+    ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`. Raises as a call does."""
         return solve_bundles(self._solve, _ALL, (parameters, designs, times))
 

@@ -8,6 +8,7 @@ Members that fail are tried again with half the step before they are given up.
 from dataclasses import dataclass, field, replace
 
 import torch
+from jaxtyping import Float, Real
 from torch import Tensor
 from torchdiffeq import odeint
 
@@ -54,7 +55,12 @@ class PolytropicSimulator:
     def __post_init__(self) -> None:
         check_engine(type(self).__name__, self.engine, self.threads)
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def __call__(
+        self,
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
+    ) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
 
         Where an argument requires a gradient, tensors are integrated and gradients are those of the solve itself. What is
@@ -67,7 +73,12 @@ class PolytropicSimulator:
         """
         return solve_batch(self._solve, _BATCH, (parameters, designs, times))
 
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def bundle(
+        self,
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
+    ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
         return solve_bundles(self._solve, _BATCH, (parameters, designs, times))
 
@@ -131,7 +142,7 @@ def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping) -> tuple[Tensor,
     return *_read(bubbles, torch.cat(history), times, status), status, steps
 
 
-def start_of(bubbles: Bubbles) -> Tensor:
+def start_of(bubbles: Bubbles) -> Float[Tensor, "rows *#members"]:
     """The state (R, U, t, memory, and gas left where an effect takes some) at time zero, ``(3 + K) x B`` or a row more."""
     velocity = bubbles.numbers.velocity
     one = torch.ones_like(velocity)
@@ -139,7 +150,7 @@ def start_of(bubbles: Bubbles) -> Tensor:
     return torch.cat((*rows, one[None]) if bubbles.acting("gas_loss") else rows)
 
 
-def head_of(bubbles: Bubbles, state: Tensor) -> Head:
+def head_of(bubbles: Bubbles, state: Float[Tensor, "rows *#members"]) -> Head:
     """What acts on the wall at a state as in :func:`start_of`: a polytropic gas; shapes broadcast with ``B``."""
     numbers, radius, velocity = bubbles.numbers, state[0], state[1]
     left = state[3 + bubbles.states] if bubbles.acting("gas_loss") else torch.ones_like(radius)
@@ -152,7 +163,7 @@ def head_of(bubbles: Bubbles, state: Tensor) -> Head:
     return Head(state[2], radius, velocity, pressure, rate, state[3 : 3 + bubbles.states])
 
 
-def rate_of(bubbles: Bubbles, head: Head, state: Tensor) -> Tensor:
+def rate_of(bubbles: Bubbles, head: Head, state: Float[Tensor, "rows *#members"]) -> Float[Tensor, "rows *#members"]:
     """Time derivative of a state as in :func:`start_of`."""
     force, memory_rate = motion(bubbles, head)
     rows = [torch.stack((head.velocity, force, torch.ones_like(force))), memory_rate]

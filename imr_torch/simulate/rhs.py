@@ -12,6 +12,7 @@ is algebraic: its row of the right-hand side is the wall's balance of heat, whic
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.simulate.bubbles import Bubbles
@@ -41,24 +42,24 @@ class Fields:
 
     Args:
         head: time, radius, velocity, pressure of all contents and its rate, memory.
-        radius: ``B`` tensor; ``velocity``, ``pressure`` (of the mixture) and ``rate`` (``q = dP/dt``) likewise.
+        radius: ``velocity``, ``pressure`` (of the mixture) and ``rate`` (``q = dP/dt``) likewise.
         node: temperatures and slopes at the inner nodes, ``n x B``.
         wall: what holds at the wall; ``heat`` and ``vapour`` the slopes of ``tau`` and ``C`` there, ``B``.
-        outer_slope: ``(m+1) x B`` tensor, ``d theta/dy``, the wall first.
+        outer_slope: ``d theta/dy``, the wall first.
         outer_laplacian: ``m x B`` tensor.
     """
 
     head: Head
-    radius: Tensor
-    velocity: Tensor
-    pressure: Tensor
-    rate: Tensor
+    radius: Float[Tensor, "members"]
+    velocity: Float[Tensor, "members"]
+    pressure: Float[Tensor, "members"]
+    rate: Float[Tensor, "members"]
     node: Node
     wall: Wall
-    heat: Tensor
-    vapour: Tensor
-    outer_slope: Tensor
-    outer_laplacian: Tensor
+    heat: Float[Tensor, "members"]
+    vapour: Float[Tensor, "members"]
+    outer_slope: Float[Tensor, "wall_and_outside members"]
+    outer_laplacian: Float[Tensor, "outside members"]
 
 
 class Equations:
@@ -81,11 +82,11 @@ class Equations:
         y = outside.nodes[:, None]
         self.stretching, self.shear = y**-2 - y, y**-6
 
-    def take(self, members: Tensor) -> "Equations":
+    def take(self, members: Int[Tensor, "kept"]) -> "Equations":
         """The equations of the members with these indices."""
         return Equations(self.bubbles.take(members), self.inside, self.outside)
 
-    def start(self) -> Tensor:
+    def start(self) -> Float[Tensor, "state members"]:
         """The state at time zero: the wall at the far temperature, vapour in equilibrium with it; ``(4+2n+m+K) x B``."""
         numbers = self.bubbles.numbers
         pressure, one = numbers.start, torch.ones_like(numbers.start)
@@ -97,7 +98,7 @@ class Equations:
         state[HEAD + 2 * self.n + self.m :] = self.bubbles.memory_start()
         return state
 
-    def fields(self, state: Tensor, time: Tensor | None = None) -> Fields:
+    def fields(self, state: Float[Tensor, "state members"], time: Float[Tensor, "members"] | None = None) -> Fields:
         """Temperatures, slopes and the pressure's rate at a state; ``time`` (``B``) matters where the far field is driven."""
         b, c, n, m = self.bubbles.numbers, self.bubbles.constants, self.n, self.m
         head, tau, vapour, theta, memory = state.split_with_sizes(self._parts)
@@ -129,7 +130,9 @@ class Equations:
         whole = Head(moment, radius, velocity, pressure + b.constant_vapour, rate, memory)
         return Fields(whole, radius, velocity, pressure, rate, node, wall, heat[0], wet[0], outer_slope, outer_laplacian)
 
-    def rate(self, f: Fields, known: tuple[Tensor, Tensor] | None = None) -> Tensor:
+    def rate(
+        self, f: Fields, known: tuple[Float[Tensor, "members"], Float[Tensor, "states members"]] | None = None
+    ) -> Float[Tensor, "state members"]:
         """``f(x)`` at a state, ``(4+2n+m+K) x B``; ``known`` are ``U'`` and the rates of memory, if known already."""
         b, c = self.bubbles.numbers, self.bubbles.constants
         acceleration, memory_rate = known or motion(self.bubbles, f.head)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.simulate.bordered import Factors
@@ -76,20 +77,24 @@ class Step:
     """What one step gave.
 
     Args:
-        state: ``nx x B`` tensor, the state after the step.
-        error: ``nx x B`` tensor, estimate of its error.
-        acceleration: ``B`` tensor, ``U'`` before the step.
-        pressure_rate: ``B`` tensor, ``dP/dt`` before the step.
+        state: the state after the step.
+        error: estimate of its error.
+        acceleration: ``U'`` before the step.
+        pressure_rate: ``dP/dt`` before the step.
     """
 
-    state: Tensor
-    error: Tensor
-    acceleration: Tensor
-    pressure_rate: Tensor
+    state: Float[Tensor, "state members"]
+    error: Float[Tensor, "state members"]
+    acceleration: Float[Tensor, "members"]
+    pressure_rate: Float[Tensor, "members"]
 
 
 def rosenbrock_step(
-    equations: Equations, state: Tensor, step: Tensor, time: Tensor | None = None, tableau: Tableau = RODAS4P
+    equations: Equations,
+    state: Float[Tensor, "state members"],
+    step: Float[Tensor, "members"],
+    time: Float[Tensor, "members"] | None = None,
+    tableau: Tableau = RODAS4P,
 ) -> Step:
     """Advance every member by its own step.
 
@@ -97,7 +102,7 @@ def rosenbrock_step(
         equations: the system.
         state: ``nx x B`` tensor.
         step: ``B`` tensor.
-        time: ``B`` tensor, of each member before the step; matters where the far field is driven.
+        time: of each member before the step; matters where the far field is driven.
         tableau: the method.
     """
     driven = equations.bubbles.driven

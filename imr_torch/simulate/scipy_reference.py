@@ -13,6 +13,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 import torch
+from jaxtyping import Real
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from torch import Tensor
@@ -91,7 +92,12 @@ class ScipySimulator:
                 f"ScipySimulator has rtol {self.rtol} and atol {self.atol}; expected 1e-13 to 0.1, and above 0 to 0.1."
             )
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def __call__(
+        self,
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
+    ) -> Solution:
         """Simulate a batch, bubble after bubble; see :class:`imr_torch.simulate.Simulator`.
 
         Raises:
@@ -105,7 +111,12 @@ class ScipySimulator:
             raise InputDataError(f"times start at {float(times.min()):g}; SciPy integrates from t* = 0 on.")
         return solve_batch(self._solve, _ALL, (parameters, designs, times))
 
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def bundle(
+        self,
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
+    ) -> Solution:
         """Not supported: every bubble has steps of its own.
 
         Raises:

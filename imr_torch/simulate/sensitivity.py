@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
+from jaxtyping import Float, Real
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -28,20 +29,20 @@ _SMALL = 0.1  # dimensionless size below which increments of a material paramete
 
 def sensitivities(
     simulator: Simulator,
-    parameters: Tensor,
-    designs: Tensor,
-    times: Tensor,
+    parameters: Real[Tensor, "*#batch parameters"],
+    designs: Real[Tensor, "*#batch 2"],
+    times: Real[Tensor, "*#batch frames"],
     *,
     names: Sequence[str] | None = None,
-) -> tuple[Solution, Tensor]:
+) -> tuple[Solution, Float[Tensor, "*#batch frames entries"]]:
     """Simulate a batch together with the derivatives of its radii.
 
     The derivative in time is the solution's ``velocity``.
 
     Args:
         simulator: makes the bubbles.
-        parameters: ``batch_shape x p`` tensor, SI, in the order of ``PARAMETERS``.
-        designs: ``batch_shape x 2`` tensor, (We, R_inf*).
+        parameters: SI, in the order of ``PARAMETERS``.
+        designs: (We, R_inf*).
         times: ``n_t`` or ``batch_shape x n_t`` tensor, dimensionless.
         names: ``k`` names of ``PARAMETERS`` or ``DESIGN``; all when not given. Each costs one more member a bubble.
 
@@ -106,7 +107,12 @@ def _singular(values: Tensor) -> Tensor:
     return torch.tensor(times, device=values.device) & (values == 0.0)
 
 
-def differentiable(simulator: Simulator, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+def differentiable(
+    simulator: Simulator,
+    parameters: Real[Tensor, "*#batch parameters"],
+    designs: Real[Tensor, "*#batch 2"],
+    times: Real[Tensor, "*#batch frames"],
+) -> Solution:
     """A solution whose radii carry gradients, by :func:`sensitivities`; arguments as there.
 
     All parameters are differentiated if ``parameters`` requires a gradient, both entries of the design if ``designs``

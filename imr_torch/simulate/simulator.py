@@ -11,6 +11,7 @@ from enum import IntEnum
 from typing import Protocol
 
 import torch
+from jaxtyping import Bool, Float, Int, Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
@@ -66,12 +67,12 @@ class Solution:
     """The solution of a batch of bubbles.
 
     Args:
-        times: ``batch_shape x n_t`` tensor, dimensionless (t U_c/Rmax).
-        radius: ``batch_shape x n_t`` tensor, dimensionless (R/Rmax); NaN where the solve did not get.
-        velocity: ``batch_shape x n_t`` tensor, wall velocity over ``U_c``.
-        bubble_pressure: ``batch_shape x n_t`` tensor, over ``p_inf``.
-        status: ``batch_shape`` integer tensor of :class:`Status` values.
-        steps: ``batch_shape`` integer tensor, steps taken.
+        times: dimensionless (t U_c/Rmax).
+        radius: dimensionless (R/Rmax); NaN where the solve did not get.
+        velocity: wall velocity over ``U_c``.
+        bubble_pressure: over ``p_inf``.
+        status: :class:`Status` values.
+        steps: steps taken.
 
     >>> import torch
     >>> from imr_torch.material import PARAMETERS
@@ -82,16 +83,16 @@ class Solution:
     (torch.Size([2, 5]), [True, True])
     """
 
-    times: Tensor
-    radius: Tensor
-    velocity: Tensor
-    bubble_pressure: Tensor
-    status: Tensor
-    steps: Tensor
+    times: Float[Tensor, "*batch frames"]
+    radius: Float[Tensor, "*batch frames"]
+    velocity: Float[Tensor, "*batch frames"]
+    bubble_pressure: Float[Tensor, "*batch frames"]
+    status: Int[Tensor, "*batch"]
+    steps: Int[Tensor, "*batch"]
 
     @property
-    def ok(self) -> Tensor:
-        """``batch_shape`` boolean tensor: members that are done."""
+    def ok(self) -> Bool[Tensor, "*batch"]:
+        """Members that are done."""
         return self.status == Status.DONE
 
     def summary(self) -> str:
@@ -114,12 +115,17 @@ class Simulator(Protocol):
         """Surroundings and contents of the bubbles."""
         ...
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def __call__(
+        self,
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
+    ) -> Solution:
         """Simulate a batch.
 
         Args:
-            parameters: ``batch_shape x p`` tensor, SI, in the order of ``PARAMETERS``.
-            designs: ``batch_shape x 2`` tensor, (We, R_inf*).
+            parameters: SI, in the order of ``PARAMETERS``.
+            designs: (We, R_inf*).
             times: ``n_t`` or ``batch_shape x n_t`` tensor, dimensionless, increasing; ``t* = 0`` is the maximum radius.
 
         Returns:
@@ -127,7 +133,12 @@ class Simulator(Protocol):
         """
         ...
 
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def bundle(
+        self,
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
+    ) -> Solution:
         """Simulate bundles: members that differ a little, in lock step, so that their differences are smooth.
 
         The last batch dimension is that of a bundle. Its first member leads: what a solver decides by the bubble
@@ -135,7 +146,7 @@ class Simulator(Protocol):
         A simulator that decides nothing may simply call itself.
 
         Args:
-            parameters: ``batch_shape x w x p`` tensor, or broadcastable to it; SI.
+            parameters: or broadcastable to it; SI.
             designs: ``batch_shape x w x 2`` tensor.
             times: ``batch_shape x w x n_t`` tensor.
 
@@ -145,7 +156,11 @@ class Simulator(Protocol):
         ...
 
 
-def solve_bundles(solve: Callable[..., tuple[Tensor, ...]], size: int, arguments: tuple[Tensor, Tensor, Tensor]) -> Solution:
+def solve_bundles(
+    solve: Callable[..., tuple[Tensor, ...]],
+    size: int,
+    arguments: tuple[Real[Tensor, "*#batch parameters"], Real[Tensor, "*#batch 2"], Real[Tensor, "*#batch frames"]],
+) -> Solution:
     """As :func:`solve_batch` for bundles: the last batch dimension is theirs, and blocks hold whole bundles.
 
     Args:
@@ -161,7 +176,7 @@ def solve_bundles(solve: Callable[..., tuple[Tensor, ...]], size: int, arguments
     >>> from imr_torch.simulate import solve_bundles
     >>> def still(parameters, designs, times, width):
     ...     one, count = torch.ones_like(times), len(times)
-    ...     return one, 0 * one, one, torch.zeros(count), torch.zeros(count)
+    ...     return one, 0 * one, one, *torch.zeros(2, count, dtype=torch.long)
     >>> arguments = PARAMETERS.neutral(3, 2), torch.tensor([400.0, 0.22]), torch.linspace(0.0, 2.0, 5)
     >>> solve_bundles(still, 100, arguments).radius.shape  # 3 bundles of 2 members
     torch.Size([3, 2, 5])
@@ -173,7 +188,9 @@ def solve_bundles(solve: Callable[..., tuple[Tensor, ...]], size: int, arguments
     return solve_batch(lambda *block: solve(*block, width), max(1, size // width) * width, arguments)
 
 
-def broadcast_batch(parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[torch.Size, Tensor, Tensor, Tensor]:
+def broadcast_batch(
+    parameters: Real[Tensor, "*#batch parameters"], designs: Real[Tensor, "*#batch 2"], times: Real[Tensor, "*#batch frames"]
+) -> tuple[torch.Size, Real[Tensor, "members parameters"], Real[Tensor, "members 2"], Real[Tensor, "members frames"]]:
     """Flatten the arguments of a simulator to ``B x p``, ``B x 2`` and ``B x n_t``; also returns ``batch_shape``.
 
     Raises:
@@ -207,7 +224,7 @@ def broadcast_batch(parameters: Tensor, designs: Tensor, times: Tensor) -> tuple
     return shape, flat[0], flat[1], flat[2]
 
 
-def check_times(times: Tensor) -> None:
+def check_times(times: Real[Tensor, "members frames"]) -> None:
     """Raise :class:`InputDataError` unless the rows of ``times`` (``B x n_t``) are finite, increasing and not early.
 
     >>> import torch
@@ -229,7 +246,7 @@ def check_times(times: Tensor) -> None:
         )
 
 
-def check_designs(designs: Tensor) -> None:
+def check_designs(designs: Real[Tensor, "*batch 2"]) -> None:
     """Raise :class:`InputDataError` unless every design has ``We > 0`` and ``0 < R_inf* < 1``.
 
     >>> import torch
@@ -252,7 +269,7 @@ def check_designs(designs: Tensor) -> None:
 def solve_batch(
     solve: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, ...]],
     size: int,
-    arguments: tuple[Tensor, Tensor, Tensor],
+    arguments: tuple[Real[Tensor, "*#batch parameters"], Real[Tensor, "*#batch 2"], Real[Tensor, "*#batch frames"]],
 ) -> Solution:
     """What every simulator does round its solver: check, broadcast, solve in blocks, put together.
 
@@ -273,7 +290,7 @@ def solve_batch(
     >>> from imr_torch.simulate import solve_batch
     >>> def still(parameters, designs, times):  # a solver whose bubbles stay at R* = 1
     ...     one, count = torch.ones_like(times), len(times)
-    ...     return one, 0 * one, one, torch.zeros(count), torch.zeros(count)
+    ...     return one, 0 * one, one, *torch.zeros(2, count, dtype=torch.long)
     >>> arguments = PARAMETERS.neutral(3), torch.tensor([400.0, 0.22]), torch.linspace(0.0, 2.0, 5)
     >>> solve_batch(still, 100, arguments).radius.shape
     torch.Size([3, 5])

@@ -9,6 +9,7 @@ after which those that are done leave.
 from dataclasses import dataclass, field
 
 import torch
+from jaxtyping import Real
 from torch import Tensor
 from torchdiffeq import odeint
 
@@ -99,7 +100,12 @@ class TransportSimulator:
     def __post_init__(self) -> None:
         check_engine(type(self).__name__, self.engine, self.threads)
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def __call__(
+        self,
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
+    ) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
 
         Where an argument requires a gradient, radii carry it: see :func:`imr_torch.simulate.sensitivity.differentiable`.
@@ -113,7 +119,12 @@ class TransportSimulator:
         with torch.no_grad():
             return solve_batch(self._solve, _BATCH, (parameters, designs, times))
 
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def bundle(
+        self,
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
+    ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
         with torch.no_grad():
             return solve_bundles(self._solve, _BATCH, (parameters, designs, times))

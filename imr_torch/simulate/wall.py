@@ -8,6 +8,7 @@ together in :mod:`imr_torch.simulate.compiled`.
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.material import derivatives, gel_response
@@ -19,20 +20,20 @@ class Head:
     """The scalar part of a state.
 
     Args:
-        time: ``B`` tensor, dimensionless; used where the far field is driven.
+        time: dimensionless; used where the far field is driven.
         radius: ``B`` tensor.
         velocity: ``B`` tensor.
-        pressure: ``B`` tensor, ``p_b`` of all contents.
-        pressure_rate: ``B`` tensor, its time derivative.
-        memory: ``K x B`` tensor, the gel's memory states.
+        pressure: ``p_b`` of all contents.
+        pressure_rate: its time derivative.
+        memory: the gel's memory states.
     """
 
-    time: Tensor
-    radius: Tensor
-    velocity: Tensor
-    pressure: Tensor
-    pressure_rate: Tensor
-    memory: Tensor
+    time: Float[Tensor, "*#members"]
+    radius: Float[Tensor, "*#members"]
+    velocity: Float[Tensor, "*#members"]
+    pressure: Float[Tensor, "*#members"]
+    pressure_rate: Float[Tensor, "*#members"]
+    memory: Float[Tensor, "states *#members"]
 
 
 @dataclass(frozen=True)
@@ -46,24 +47,26 @@ class HeadSlopes:
         memory_memory: of ``d memory/dt`` (rows) in memory (columns), ``K x K x B``.
     """
 
-    radius: Tensor
-    velocity: Tensor
-    pressure: Tensor
-    pressure_rate: Tensor
-    time: Tensor
-    memory: Tensor
-    memory_radius: Tensor
-    memory_velocity: Tensor
-    memory_memory: Tensor
+    radius: Float[Tensor, "*#members"]
+    velocity: Float[Tensor, "*#members"]
+    pressure: Float[Tensor, "*#members"]
+    pressure_rate: Float[Tensor, "*#members"]
+    time: Float[Tensor, "*#members"]
+    memory: Float[Tensor, "states *#members"]
+    memory_radius: Float[Tensor, "states *#members"]
+    memory_velocity: Float[Tensor, "states *#members"]
+    memory_memory: Float[Tensor, "states states *#members"]
 
 
-def motion(bubbles: Bubbles, head: Head) -> tuple[Tensor, Tensor]:
+def motion(bubbles: Bubbles, head: Head) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "states *#members"]]:
     """``U'``, a ``B`` tensor, and ``d memory/dt``, ``K x B``."""
     far, far_rate, _ = far_field(bubbles, head.time)
     return _motion(bubbles, head, far, far_rate)
 
 
-def motion_slopes(bubbles: Bubbles, head: Head) -> tuple[Tensor, Tensor, HeadSlopes]:
+def motion_slopes(
+    bubbles: Bubbles, head: Head
+) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "states *#members"], HeadSlopes]:
     """``U'``, ``d memory/dt`` and all derivatives."""
     far, far_rate, far_bend = far_field(bubbles, head.time)
     acceleration, memory_rate = _motion(bubbles, head, far, far_rate)
@@ -116,7 +119,9 @@ def _motion(bubbles: Bubbles, head: Head, far: Tensor, far_rate: Tensor) -> tupl
     return acceleration * pace * pace, memory_rate
 
 
-def gas_loss(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> Tensor:
+def gas_loss(
+    bubbles: Bubbles, radius: Float[Tensor, "*#members"], velocity: Float[Tensor, "*#members"]
+) -> Float[Tensor, "*#members"]:
     """Relative rate ``-n'/n`` at which gas is lost, by all effects, a ``B`` tensor."""
     total = torch.zeros_like(radius)
     for effect in bubbles.acting("gas_loss"):
@@ -125,7 +130,9 @@ def gas_loss(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> Tensor:
     return total
 
 
-def gas_loss_slopes(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def gas_loss_slopes(
+    bubbles: Bubbles, radius: Float[Tensor, "*#members"], velocity: Float[Tensor, "*#members"]
+) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "*#members"], Float[Tensor, "*#members"]]:
     """:func:`gas_loss` and its derivatives in R and U."""
     lost = gas_loss(bubbles, radius, velocity)
     if not bubbles.acting("gas_loss"):
@@ -134,7 +141,9 @@ def gas_loss_slopes(bubbles: Bubbles, radius: Tensor, velocity: Tensor) -> tuple
     return lost, by_radius, by_velocity
 
 
-def vapour_factor(bubbles: Bubbles, compression: Tensor) -> tuple[Tensor, Tensor]:
+def vapour_factor(
+    bubbles: Bubbles, compression: Float[Tensor, "*#members"]
+) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "*#members"]]:
     """Factor on the saturation pressure at a compression of the contents, and its logarithmic derivative; ``B`` tensors."""
     one = torch.ones_like(compression)
     effects = bubbles.acting("vapour")
@@ -152,7 +161,9 @@ def vapour_factor(bubbles: Bubbles, compression: Tensor) -> tuple[Tensor, Tensor
     return value, derivatives(factor, (compression,), analytic=bubbles.analytic)[0] * compression / value
 
 
-def far_field(bubbles: Bubbles, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def far_field(
+    bubbles: Bubbles, time: Float[Tensor, "*#members"]
+) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "*#members"], Float[Tensor, "*#members"]]:
     """Pressure afar and its first two time derivatives, dimensionless."""
     value = bubbles.numbers.far
     rate = bend = torch.zeros_like(value)

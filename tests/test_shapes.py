@@ -1,0 +1,61 @@
+"""The shapes in the annotations hold: a part of the tests runs once more, with every annotated tensor checked."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+CHECKED = (
+    "tests/material/test_belief.py",
+    "tests/material/test_marginals.py",
+    "tests/material/test_parameters.py",
+    "tests/simulate/test_sensitivity.py::test_that_followers_that_fail_or_fall_behind_leave_their_leader_alone",
+    "tests/observe/test_experiments.py",
+    "tests/assimilate/test_gauss_newton.py",
+    "tests/assimilate/test_posterior.py",
+    "tests/design/test_closed_form.py",
+    "tests/design/test_likelihood.py",
+    "tests/population/test_closed_form.py",
+    "tests/export/test_sbi.py",
+    "tests/test_examples.py",
+)
+STAGES = ("material", "simulate", "observe", "assimilate", "select", "calibration", "export")
+SLOW = ("integrates_to_one", "noise_estimation", "bad_frames", "profile", "nuts")
+REFUSED = (
+    "bad_input",
+    "refused",
+    "rejected",
+    "do_not_fit",
+    "need_no_data",
+)  # wrong shapes, which the check meets before the code does
+WRONG = """
+import torch
+from imr_torch.material import Stress
+
+def test_that_fits():
+    Stress(torch.zeros(3), torch.zeros(3), torch.zeros(3))
+
+def test_that_does_not_fit():
+    Stress(torch.zeros(3), torch.zeros(3), torch.zeros(2))
+"""
+
+
+def checked(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = (sys.executable, "-m", "pytest", "--check-shapes", "--tb=short", "-p", "no:cacheprovider", *arguments)
+    return subprocess.run(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
+
+
+def test_that_tensors_have_the_shapes_of_their_annotations() -> None:
+    examples = " or ".join(f"imr_torch.{stage}" for stage in STAGES)
+    chosen = f"(not test_examples.py or prints_what_it_says and ({examples})) and not {' and not '.join((*SLOW, *REFUSED))}"
+    done = checked(*CHECKED, "-k", chosen)
+    assert done.returncode == 0, done.stdout[-8000:] + done.stderr[-2000:]
+
+
+def test_that_a_wrong_shape_is_found(tmp_path: Path) -> None:
+    (tmp_path / "test_wrong.py").write_text(WRONG)
+    done = checked(f"--rootdir={ROOT}", str(tmp_path / "test_wrong.py"))
+    assert "1 failed, 1 passed" in done.stdout, done.stdout
+    assert "jaxtyping.TypeCheckError" in done.stdout
+    assert "acceleration" in done.stdout
