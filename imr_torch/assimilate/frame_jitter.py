@@ -50,7 +50,8 @@ class FrameJitter:
 
     >>> from imr_torch.assimilate import FrameJitter
     >>> print(FrameJitter("nhkv", (0.003, 0.004, 0.005), 8.2, 0.04))
-    Frame times jitter by 0.0040 (0.0030-0.0050) in t*, 10 % of a frame interval (8.2 nats over none).
+    Frame times jitter by 0.0040 (0.0030-0.0050) in t*, 10 % of a frame interval (8.2 nats over none), or the model misses \
+frames in which the bubble is fast.
     >>> print(FrameJitter("nhkv", (0.0, 0.001, 0.002), -1.1, 0.04))
     No jitter of frame times is seen: less than 0.0020 in t*, 5 % of a frame interval.
     """
@@ -76,7 +77,7 @@ class FrameJitter:
             return f"No jitter of frame times is seen: less than {high:.4f} in t*, {100 * share:.0f} % of a frame interval."
         said = (
             f"Frame times jitter by {middle:.4f} ({low:.4f}-{high:.4f}) in t*, {100 * middle / self.frame_interval:.0f} % of a "
-            f"frame interval ({self.evidence:.1f} nats over none)."
+            f"frame interval ({self.evidence:.1f} nats over none), or the model misses frames in which the bubble is fast."
         )
         if self.with_jitter is None:
             return said
@@ -96,6 +97,7 @@ class FrameJitter:
             "found": self.found,
             "intervals_with": intervals,
             "reason": self.reason,
+            "sentence": str(self),
         }
 
 

@@ -22,6 +22,7 @@ from imr_torch.assimilate import (
     SearchOptions,
     assimilate_estimating_noise,
     find_bad_frames,
+    find_frame_jitter,
     weigh,
 )
 from imr_torch.assimilate.noise_estimation import determines_noise
@@ -177,9 +178,24 @@ def characterize(
     )
     moved = medium_sensitivities(weighed[posterior.best.model], weighed.batch, simulator, medium)
     followed = profiles_of(weighed, posterior, simulator, seed=child(seed, "profile"), progress=progress) if profile else None
+    jitter = find_frame_jitter(*found.best.of_curves(weighed.batch), simulator) if check and len(traces) else None
     seconds = time.process_time() - started
     return Characterization(
-        prepared, weighed, evidence, posterior, seconds, scored, used, tested, medium, moved, bad, left_out, gels, followed
+        prepared,
+        weighed,
+        evidence,
+        posterior,
+        seconds,
+        scored,
+        used,
+        tested,
+        medium,
+        moved,
+        bad,
+        left_out,
+        gels,
+        followed,
+        jitter,
     )
 
 

@@ -101,7 +101,7 @@ def _collapse_lines(result: "Characterization") -> list[str]:
 
 
 def _noise_lines(result: "Characterization") -> list[str]:
-    """How uncertain the noise is, what lies at an end of its range, and which frames look bad."""
+    """How uncertain the noise is, what lies at an end of its range, which frames look bad, and whether their times jitter."""
     lines, found = [], result.noise_intervals
     if found:
         parts = (("scale", "multiple"), ("constant", "constant part (R*)"), ("correlation_time", "correlation time (t*)"))
@@ -110,7 +110,8 @@ def _noise_lines(result: "Characterization") -> list[str]:
     lines += [f"  {edge}" for edge in result.noise_edges]
     if result.left_out:
         lines += ["Left out of the fit as bad frames:", *(f"  {frame}" for frame in result.left_out)]
-    return lines if result.bad_frames is None else lines + result.bad_frames.lines()
+    lines += [] if result.bad_frames is None else result.bad_frames.lines()
+    return lines if result.jitter is None else [*lines, str(result.jitter)]
 
 
 def _advice(result: "Characterization", fit: ModelFit) -> str:

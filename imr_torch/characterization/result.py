@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imr_torch.assimilate import Assimilation, BadFrame, BadFrames, ModelFit, NoiseEdge, Profile, noise_edges
+from imr_torch.assimilate import Assimilation, BadFrame, BadFrames, FrameJitter, ModelFit, NoiseEdge, Profile, noise_edges
 from imr_torch.characterization.bands import intervals
 from imr_torch.characterization.collapse import collapse_rows, patterns
 from imr_torch.characterization.medium import medium_document
@@ -45,6 +45,7 @@ class Characterization:
         population: how much the gel differs between curves, under the most probable model; None where not asked for.
         profiles: model key -> the profile likelihoods of its parameters, of models with .05 of the probability or more, at the
             estimated noise; None where not asked for.
+        jitter: of frame times, under the most probable model; None where that was not asked for.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -81,6 +82,7 @@ class Characterization:
     left_out: tuple[BadFrame, ...] = ()
     population: Population | None = None
     profiles: Mapping[str, tuple[Profile, ...]] | None = None
+    jitter: FrameJitter | None = None
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -153,6 +155,7 @@ class Characterization:
             "noise_intervals": self.noise_intervals,
             "noise_edges": [vars(edge) for edge in self.noise_edges],
             "bad_frames": None if self.bad_frames is None else self.bad_frames.to_dict(),
+            "frame_jitter": None if self.jitter is None else self.jitter.to_dict(),
             "frames_left_out": [vars(frame) for frame in self.left_out],
             "fit_test": None if self.fit_test is None else self.fit_test.to_dict(),
             "population": None if self.population is None else self.population.to_dict(),

@@ -153,7 +153,7 @@ def setting_rows(document: Mapping[str, Any], best: str) -> list[tuple[str, str]
 
 
 def _noise_rows(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """How uncertain the noise is, what lies at an end of its range, and which frames look bad."""
+    """How uncertain the noise is, what lies at an end of its range, which frames look bad, and whether their times jitter."""
     rows, found = [], document.get("noise_intervals")
     if found:
         parts = (("scale", "multiple"), ("constant", "constant part (R*)"), ("correlation_time", "correlation time (t*)"))
@@ -166,6 +166,8 @@ def _noise_rows(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     if bad["frames"] and bad["intervals_without"]:
         values = "; ".join(f"{name} {PARAMETERS[name].interval(*x)}" for name, x in bad["intervals_without"].items())
         rows.append(("Without those that stand alone", f"{values} (to first order)"))
+    if jitter := document.get("frame_jitter"):
+        rows.append(("Frame times", jitter["sentence"]))
     return rows
 
 
