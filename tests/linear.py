@@ -21,6 +21,9 @@ def tensor(*values) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)
 
 
+_MANY = 1000  # rows from which on those of one Weber number are computed together, which changes the last bits
+
+
 @dataclass(frozen=True)
 class LinearSimulator:
     """``R = .6 + .3 t + .5 R_inf* + sum_j b_j(frame, We) theta_j / scale_j``: exactly linear, nuisances included.
@@ -53,13 +56,12 @@ class LinearSimulator:
 
     def _gel(self, parameters: Tensor, weber: Tensor, frames: int) -> Tensor:
         """What the gel adds, ``n x frames``: once a Weber number, and of parameters that are not zero."""
-        which = parameters.ne(0.0).any(0).nonzero()[:, 0]
-        different, place = weber.unique(return_inverse=True)
-        columns = self._columns(frames, different, which)
-        if len(different) > 8:
-            return (columns[place] @ parameters[:, which, None])[..., 0]
+        which = parameters.detach().ne(0.0).any(0).nonzero()[:, 0]
+        different, place = weber.detach().unique(return_inverse=True)
+        if weber.requires_grad or len(weber) < _MANY or len(different) > 8:
+            return (self._columns(frames, weber, which) @ parameters[:, which, None])[..., 0]
         gel = torch.empty(len(parameters), frames, dtype=torch.float64)
-        for number, own in enumerate(columns):
+        for number, own in enumerate(self._columns(frames, different, which)):
             rows = place == number
             gel[rows] = parameters[rows][:, which] @ own.mT
         return gel
