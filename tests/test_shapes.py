@@ -55,7 +55,7 @@ def test_that_tensors_have_the_shapes_of_their_annotations() -> None:
 
 def test_that_a_wrong_shape_is_found(tmp_path: Path) -> None:
     (tmp_path / "test_wrong.py").write_text(WRONG)
-    done = checked(f"--rootdir={ROOT}", str(tmp_path / "test_wrong.py"))
+    done = checked("-p", "tests.conftest", str(tmp_path / "test_wrong.py"))
     assert "1 failed, 1 passed" in done.stdout, done.stdout
     assert "jaxtyping.TypeCheckError" in done.stdout
     assert "acceleration" in done.stdout

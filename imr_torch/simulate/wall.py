@@ -8,7 +8,7 @@ together in :mod:`imr_torch.simulate.compiled`.
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Inexact
 from torch import Tensor
 
 from imr_torch.material import derivatives, gel_response
@@ -28,12 +28,12 @@ class Head:
         memory: the gel's memory states.
     """
 
-    time: Float[Tensor, "*#members"]
-    radius: Float[Tensor, "*#members"]
-    velocity: Float[Tensor, "*#members"]
-    pressure: Float[Tensor, "*#members"]
-    pressure_rate: Float[Tensor, "*#members"]
-    memory: Float[Tensor, "states *#members"]
+    time: Inexact[Tensor, "*#members"]
+    radius: Inexact[Tensor, "*#members"]
+    velocity: Inexact[Tensor, "*#members"]
+    pressure: Inexact[Tensor, "*#members"]
+    pressure_rate: Inexact[Tensor, "*#members"]
+    memory: Inexact[Tensor, "states *#members"]
 
 
 @dataclass(frozen=True)
@@ -47,18 +47,18 @@ class HeadSlopes:
         memory_memory: of ``d memory/dt`` (rows) in memory (columns), ``K x K x B``.
     """
 
-    radius: Float[Tensor, "*#members"]
-    velocity: Float[Tensor, "*#members"]
-    pressure: Float[Tensor, "*#members"]
-    pressure_rate: Float[Tensor, "*#members"]
-    time: Float[Tensor, "*#members"]
-    memory: Float[Tensor, "states *#members"]
-    memory_radius: Float[Tensor, "states *#members"]
-    memory_velocity: Float[Tensor, "states *#members"]
-    memory_memory: Float[Tensor, "states states *#members"]
+    radius: Inexact[Tensor, "*#members"]
+    velocity: Inexact[Tensor, "*#members"]
+    pressure: Inexact[Tensor, "*#members"]
+    pressure_rate: Inexact[Tensor, "*#members"]
+    time: Inexact[Tensor, "*#members"]
+    memory: Inexact[Tensor, "states *#members"]
+    memory_radius: Inexact[Tensor, "states *#members"]
+    memory_velocity: Inexact[Tensor, "states *#members"]
+    memory_memory: Inexact[Tensor, "states states *#members"]
 
 
-def motion(bubbles: Bubbles, head: Head) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "states *#members"]]:
+def motion(bubbles: Bubbles, head: Head) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "states *#members"]]:
     """``U'``, a ``B`` tensor, and ``d memory/dt``, ``K x B``."""
     far, far_rate, _ = far_field(bubbles, head.time)
     return _motion(bubbles, head, far, far_rate)
@@ -66,7 +66,7 @@ def motion(bubbles: Bubbles, head: Head) -> tuple[Float[Tensor, "*#members"], Fl
 
 def motion_slopes(
     bubbles: Bubbles, head: Head
-) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "states *#members"], HeadSlopes]:
+) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "states *#members"], HeadSlopes]:
     """``U'``, ``d memory/dt`` and all derivatives."""
     far, far_rate, far_bend = far_field(bubbles, head.time)
     acceleration, memory_rate = _motion(bubbles, head, far, far_rate)
@@ -120,8 +120,8 @@ def _motion(bubbles: Bubbles, head: Head, far: Tensor, far_rate: Tensor) -> tupl
 
 
 def gas_loss(
-    bubbles: Bubbles, radius: Float[Tensor, "*#members"], velocity: Float[Tensor, "*#members"]
-) -> Float[Tensor, "*#members"]:
+    bubbles: Bubbles, radius: Inexact[Tensor, "*#members"], velocity: Inexact[Tensor, "*#members"]
+) -> Inexact[Tensor, "*#members"]:
     """Relative rate ``-n'/n`` at which gas is lost, by all effects, a ``B`` tensor."""
     total = torch.zeros_like(radius)
     for effect in bubbles.acting("gas_loss"):
@@ -131,8 +131,8 @@ def gas_loss(
 
 
 def gas_loss_slopes(
-    bubbles: Bubbles, radius: Float[Tensor, "*#members"], velocity: Float[Tensor, "*#members"]
-) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "*#members"], Float[Tensor, "*#members"]]:
+    bubbles: Bubbles, radius: Inexact[Tensor, "*#members"], velocity: Inexact[Tensor, "*#members"]
+) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"]]:
     """:func:`gas_loss` and its derivatives in R and U."""
     lost = gas_loss(bubbles, radius, velocity)
     if not bubbles.acting("gas_loss"):
@@ -142,8 +142,8 @@ def gas_loss_slopes(
 
 
 def vapour_factor(
-    bubbles: Bubbles, compression: Float[Tensor, "*#members"]
-) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "*#members"]]:
+    bubbles: Bubbles, compression: Inexact[Tensor, "*#members"]
+) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"]]:
     """Factor on the saturation pressure at a compression of the contents, and its logarithmic derivative; ``B`` tensors."""
     one = torch.ones_like(compression)
     effects = bubbles.acting("vapour")
@@ -162,8 +162,8 @@ def vapour_factor(
 
 
 def far_field(
-    bubbles: Bubbles, time: Float[Tensor, "*#members"]
-) -> tuple[Float[Tensor, "*#members"], Float[Tensor, "*#members"], Float[Tensor, "*#members"]]:
+    bubbles: Bubbles, time: Inexact[Tensor, "*#members"]
+) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"]]:
     """Pressure afar and its first two time derivatives, dimensionless."""
     value = bubbles.numbers.far
     rate = bend = torch.zeros_like(value)
