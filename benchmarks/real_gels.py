@@ -5,7 +5,7 @@
 
 FOLDER holds a CSV file a gel and a JSON file beside it. `run` appends a line a set and task, and passes over what has a line.
 Of each set at most `--max-curves` are taken (default 4), evenly spread over those that can be fitted and whose tail does not
-grow again. The medium is stated (`SETS`); models with heat and vapour transport. Tasks: `characterize` (Newtonian, NHKV and
+grow again. Curves that figures show go into a file of their own beside the record. The medium is stated (`SETS`); models with heat and vapour transport. Tasks: `characterize` (Newtonian, NHKV and
 generalised QKV), `diagnose` (the ladder on every second curve, at most four effects, and a gel of its own for each curve,
 judged on the other curves, which no fit saw) and `other half` (the other curves, for their first effect only). Two curves
 have two halves of one, one curve has none and its ladder is judged in sample. `table` writes one page, with the controls
@@ -189,6 +189,9 @@ def run(args: argparse.Namespace) -> None:
             except (ImrError, RuntimeError) as error:  # torch reports a singular matrix as the latter
                 row["failure"] = f"{type(error).__name__}: {error}"
             row["cpu"] = time.process_time() - _started[-1]
+            if shown := row.pop("shown", None):
+                with curves_file(path).open("a", encoding="utf-8") as drawn:
+                    drawn.write(json.dumps({"set": name, "task": task, "shown": shown}) + "\n")
             stream.write(json.dumps(row) + "\n")
             stream.flush()
             print(f"  done in {row['cpu']:.1f} s{': ' + row['failure'] if 'failure' in row else ''}", flush=True)
@@ -199,11 +202,18 @@ def rows(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
 
 
+def curves_file(record: Path) -> Path:
+    """Beside a record: the measured curves and predictions that figures show. Most data may not be passed on, so it stays here."""
+    return record.with_suffix(".curves.jsonl")
+
+
 def table(args: argparse.Namespace) -> None:
     """Write the page."""
     from real_gels_page import write_page
 
-    write_page(rows(Path(args.json)), Path(args.page))
+    record = Path(args.json)
+    curves = {row["set"]: row["shown"] for row in rows(curves_file(record)) if row["task"] == "diagnose"}
+    write_page(rows(record), curves, Path(args.page))
     print(f"wrote {args.page}")
 
 

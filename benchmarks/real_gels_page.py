@@ -12,11 +12,10 @@ import numpy as np
 from real_gels_controls import Record, best_rung, controls, model
 
 
-def write_page(rows: list[dict[str, Any]], path: Path) -> None:
-    """Write the page, and its figures into a folder of its name beside it."""
+def write_page(rows: list[dict[str, Any]], curves: dict[str, list[dict[str, Any]]], path: Path) -> None:
+    """Write the page, and a figure of each set whose curves are given into a folder of its name beside it."""
     record: Record = {(row["set"], row["task"]): row for row in rows}
     folder = path.with_suffix("")
-    folder.mkdir(parents=True, exist_ok=True)
     sets = list(dict.fromkeys(name for name, _ in record))
     lines = ["# Real gels", "", "## Controls", "", "| control | must | found | met |", "|---|---|---|---|"]
     word = {True: "yes", False: "no", None: "open"}
@@ -25,8 +24,9 @@ def write_page(rows: list[dict[str, Any]], path: Path) -> None:
     for name in sets:
         row = record.get((name, "diagnose"))
         lines += [f"### {name}", "", *_said(row, record.get((name, "other half")))]
-        if row and row.get("shown"):
-            _figure(row, folder / f"{name}.png")
+        if row and name in curves:
+            folder.mkdir(parents=True, exist_ok=True)
+            _figure(row, curves[name], folder / f"{name}.png")
             lines += ["", f"![{name}]({folder.name}/{name}.png)"]
         lines += [""]
     cpu = sum(row["cpu"] for row in rows)
@@ -58,7 +58,7 @@ def _models(record: Record, sets: list[str]) -> list[str]:
             _interval([1e-3 * x for x in elastic]),
             _interval(own["intervals"]["mu"]) if "mu" in own["intervals"] else "",
             f"{own['rmse']:.3f}",
-            "" if test is None else f"p {test['p_value']:.1g}",
+            "" if test is None or test["p_value"] is None else f"p {test['p_value']:.1g}",
             f"{row['cpu']:.0f}",
         ]
         lines.append("| " + " | ".join(cells) + " |")
@@ -120,11 +120,11 @@ def _said(row: dict[str, Any] | None, other: dict[str, Any] | None) -> list[str]
     return lines
 
 
-def _figure(row: dict[str, Any], path: Path) -> None:
+def _figure(row: dict[str, Any], curves: list[dict[str, Any]], path: Path) -> None:
     """Curves, what is left over phase, R* and dR*/dt*, and the ladder."""
     figure, axes = plt.subplots(1, 5, figsize=(17.0, 3.1), layout="constrained")
     last = "none" if not row.get("ladder") else "+".join(row["ladder"][-1]["effects"]) or "none"
-    for curve in row["shown"]:
+    for curve in curves:
         t, seen, sd = (np.array(curve[name]) for name in ("t", "R", "sd"))
         (drawn,) = axes[0].plot(t, seen, ".", ms=3)
         axes[0].plot(t, curve["none"], "-", color=drawn.get_color(), lw=0.7, alpha=0.5)
