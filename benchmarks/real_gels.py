@@ -5,11 +5,12 @@
 
 FOLDER holds a CSV file a gel and a JSON file beside it. `run` appends a line a set and task, and passes over what has a line.
 Of each set at most `--max-curves` are taken (default 4), evenly spread over those that can be fitted and whose tail does not
-grow again. Curves that figures show go into a file of their own beside the record. The medium is stated (`SETS`); models with heat and vapour transport. Tasks: `characterize` (Newtonian, NHKV and
-generalised QKV), `diagnose` (the ladder on every second curve, at most four effects, and a gel of its own for each curve,
-judged on the other curves, which no fit saw) and `other half` (the other curves, for their first effect only). Two curves
-have two halves of one, one curve has none and its ladder is judged in sample. `table` writes one page, with the controls
-(`real_gels_controls.py`) and a figure a set (`real_gels_page.py`).
+grow again. Curves that figures show go into a file of their own beside the record. The medium is stated (`SETS`); models with
+heat and vapour transport. Tasks: `characterize` (Newtonian, NHKV and generalised QKV), `diagnose` (the ladder on every second
+curve, at most four effects, and a gel of its own for each curve, judged on the other curves, which no fit saw) and `other
+half` (the other curves, for their first effect only). Two curves have two halves of one, one curve has none and its ladder is
+judged in sample. `table` writes one page, with the controls (`real_gels_controls.py`) and a figure a set
+(`real_gels_page.py`).
 """
 
 import argparse
@@ -187,7 +188,7 @@ def run(args: argparse.Namespace) -> None:
             try:
                 row |= tasks[task](files[name], args.max_curves, SETS[name])
             except (ImrError, RuntimeError) as error:  # torch reports a singular matrix as the latter
-                row["failure"] = f"{type(error).__name__}: {error}"
+                row["failure"] = f"{type(error).__name__}: {error}".replace(f"{files[name].parent}/", "")
             row["cpu"] = time.process_time() - _started[-1]
             if shown := row.pop("shown", None):
                 with curves_file(path).open("a", encoding="utf-8") as drawn:
@@ -203,7 +204,7 @@ def rows(path: Path) -> list[dict[str, Any]]:
 
 
 def curves_file(record: Path) -> Path:
-    """Beside a record: the measured curves and predictions that figures show. Most data may not be passed on, so it stays here."""
+    """Beside a record: the measured curves and predictions that figures show; most data may not be passed on with results."""
     return record.with_suffix(".curves.jsonl")
 
 
