@@ -72,3 +72,13 @@ def with_unit(text: str, unit: str) -> str:
     ('tau (µs)', 'alpha')
     """
     return text if unit in ("", "1") else f"{text} ({'µs' if unit == 'us' else unit})"
+
+
+def p_value(value: float) -> str:
+    """A p-value as text; very small ones, which rest on tails of a distribution, by an upper limit.
+
+    >>> from imr_torch.labels import p_value
+    >>> p_value(0.0312), p_value(0.0)
+    ('p = 0.031', 'p < 1e-10')
+    """
+    return f"p = {value:.2g}" if value > 1e-10 else "p < 1e-10"

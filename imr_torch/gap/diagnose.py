@@ -18,6 +18,7 @@ from imr_torch.gap.hypotheses import Hypothesis, fit_null, laplace_evidence
 from imr_torch.gap.linear import Linearisation
 from imr_torch.gap.score import GapTest
 from imr_torch.gap.verdict import NONE, OTHER, Choice, choose
+from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, Effect, ModelBelief, library, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import child
@@ -145,7 +146,7 @@ def diagnose(
     base_left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
     gap = base_left.test
     if progress:
-        progress(f"gap test: p = {gap.p_value:.2g}, leading block {gap.blocks[0].name}")
+        progress(f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}")
 
     if not null.certificate.converged:
         found = _Finding("undecided", (), f"The base model's fit did not converge: {null.certificate}.")
@@ -249,16 +250,16 @@ def _unexplained(
     if not fit.certificate.nearly_converged:  # a nearly converged fit would not become adequate by converging further
         reason = (
             f"No effect of the library was found to be enough, but the fit with {nearest} did not converge "
-            f"({explained:.0f} nats better than the base; adequacy p = {test.p_value:.2g}), which may be why."
+            f"({explained:.0f} nats better than the base; adequacy {p_value(test.p_value)}), which may be why."
         )
         return _Finding("undecided", (), reason, first, test.p_value, choice)
     if explained < _FURTHER:
-        reason = f"No effect of the library explains any of it (adequacy p = {test.p_value:.2g})."
+        reason = f"No effect of the library explains any of it (adequacy {p_value(test.p_value)})."
     else:
         misfit = f"the misfit in R* goes from {left.test.bias_radius:.4f} to {test.bias_radius:.4f}"
         reason = (
             f"No effect of the library is enough; nearest comes {nearest} "
-            f"({explained:.0f} nats; {misfit}; adequacy p = {test.p_value:.2g})."
+            f"({explained:.0f} nats; {misfit}; adequacy {p_value(test.p_value)})."
         )
     return _Finding(OTHER, (), reason, first, test.p_value, choice)
 
@@ -266,8 +267,8 @@ def _unexplained(
 def _not_confirmed(found: Attribution, test: GapTest) -> _Finding:
     """Verdict "none" although the test rejects: it does so by chance at its level, and then no effect explains much."""
     reason = (
-        f"A test rejects the base model (p = {test.p_value:.2g}), but no effect of the library explains enough: the base model "
-        f"alone keeps a probability of {found.posterior[NONE]:.2f}."
+        f"A test rejects the base model ({p_value(test.p_value)}), but no effect of the library explains enough: the base "
+        f"model alone keeps a probability of {found.posterior[NONE]:.2f}."
     )
     return _Finding(NONE, (), reason, found)
 
@@ -286,5 +287,5 @@ def _name(held: Sequence[Effect], found: Attribution, choice: Choice) -> _Findin
     if not choice.decided:
         return replace(finding, reason="The probability is spread over too many effects to name a cause.")
     if len(choice.causes) == 1:
-        return replace(finding, verdict="effect", reason=f"Adequate (p = {adequacy:.2g}), and the others are improbable.")
+        return replace(finding, verdict="effect", reason=f"Adequate ({p_value(adequacy)}), and the others are improbable.")
     return replace(finding, verdict="class", reason="These effects explain the data about equally well.")

@@ -18,6 +18,7 @@ from imr_torch.gap.linear import Linearisation, curves, linearise, shifted
 from imr_torch.gap.noise import noise_of_traces
 from imr_torch.gap.phases import phase_clock, phase_name
 from imr_torch.gap.score import LEVEL, gap_test, generic_blocks
+from imr_torch.labels import p_value
 from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
@@ -70,13 +71,13 @@ class FitTest:
         if self.p_value is None:
             return f"Not tested whether the model explains the curves: {self.reason}"
         if self.explained:
-            return f"Fit: the model explains the curves within their noise (p = {self.p_value:.2g}, {self.model})."
+            return f"Fit: the model explains the curves within their noise ({p_value(self.p_value)}, {self.model})."
         where = (
             f"strongest test: {self.block}; largest residual {self.sigma:+.1f} sd in {self.experiment}, {self.phase}, "
             f"t* = {self.time:.2f}"
         )
         return (
-            f"Misfit: the model does not explain the curves (p = {self.p_value:.2g}, {self.model}; {where}); do not quote its "
+            f"Misfit: the model does not explain the curves ({p_value(self.p_value)}, {self.model}; {where}); do not quote its "
             f"intervals before you have tried: {command}"
         )
 

@@ -21,6 +21,7 @@ from imr_torch.gap.linear import Linearisation, curves
 from imr_torch.gap.phases import phase_clock, phase_name
 from imr_torch.gap.restrict import calibrate, draw_residuals, log_p, refit, restrict
 from imr_torch.gap.score import pulse_changes, shape_rows
+from imr_torch.labels import p_value
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import SeedLike
 from imr_torch.simulate import Simulator
@@ -50,7 +51,7 @@ class Onset:
 
     def __str__(self) -> str:
         if self.phase == "none":
-            return f"No prefix of the records rejects the model (smallest p = {min(self.p_values):.2g})."
+            return f"No prefix of the records rejects the model (smallest {p_value(min(self.p_values))})."
         return (
             f"The gap can first be detected in the {self.phase}: records up to t* = {self.time:.2f} already reject the model "
             "(earlier ones would with more repeats)."

@@ -19,6 +19,7 @@ from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.score import ADEQUATE, LEVEL, BlockResult
 from imr_torch.gap.verdict import OTHER, VERDICT_ODDS
+from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, PARAMETERS
 
 _LEVELS = (0.05, 0.5, 0.95)
@@ -180,11 +181,11 @@ def _gap(report: GapReport) -> tuple[str, ...]:
         return ("No verdict: the base model's fit did not converge, and an unconverged fit looks exactly like a gap.",)
     found = "Yes" if report.found else "By the test, but not by the evidence" if test.found else "None found"
     lines = [
-        f"{found}: {_p(test.p_value)}, of the smallest of {len(test.blocks)} directed tests, calibrated with data drawn "
+        f"{found}: {p_value(test.p_value)}, of the smallest of {len(test.blocks)} directed tests, calibrated with data drawn "
         "under the fitted base model.",
         f"Size: {test.bias_sigma:.2f} standard deviations of a single shot (rms), {test.bias_radius:.4f} in R*, without the "
         "part that the fitted parameters absorb.",
-        "Smallest p-values: " + "; ".join(f"{b.name} ({_p(b.p_value)}{_power(b)})" for b in test.blocks[:_BLOCKS]) + ".",
+        "Smallest p-values: " + "; ".join(f"{b.name} ({p_value(b.p_value)}{_power(b)})" for b in test.blocks[:_BLOCKS]) + ".",
     ]
     known = [b for b in test.blocks if b.name in LIBRARY and not math.isnan(b.power)]
     hidden = [b for b in known if b.power < _BLIND]
@@ -237,7 +238,7 @@ def _where(report: GapReport, parts: Parts) -> tuple[str, ...]:
         lines.append(str(parts.acts))
     if parts.by_experiment is not None:
         which = parts.by_experiment
-        loud = [f"{label} ({_p(p)})" for label, p in zip(which.labels, which.p_values, strict=True) if p < LEVEL]
+        loud = [f"{label} ({p_value(p)})" for label, p in zip(which.labels, which.p_values, strict=True) if p < LEVEL]
         lines.append(f"Experiments that reject the model by themselves: {', '.join(loud) or 'none'}.")
         lines.append(which.reading)
     if parts.windows is not None:
@@ -269,7 +270,7 @@ def _causes(report: GapReport) -> tuple[str, ...]:
     lines = [
         *_probabilities(found),
         f"95 % credible set: {', '.join(found.credible_set())}.",
-        f"Adequacy of {found.winner}: {_p(found.adequacy.p_value)}"
+        f"Adequacy of {found.winner}: {p_value(found.adequacy.p_value)}"
         + (", so it is enough." if found.adequacy.p_value >= ADEQUATE else ", so something else may still be missing."),
     ]
     if (like := found.likeness) is not None:
@@ -351,7 +352,7 @@ def _ladder(parts: Parts) -> tuple[str, ...]:
             line += f", closes {middle:.2f} ({low:.2f} to {high:.2f}) of the held-out gap"
         if rung.log_score is not None:
             line += f", predicts held-out curves {rung.log_score[0]:+.1f} +- {rung.log_score[1]:.1f} nats better"
-        lines.append(f"{line}; adequacy {_p(rung.test.p_value)}{'' if rung.converged else '; a fit has not converged'}.")
+        lines.append(f"{line}; adequacy {p_value(rung.test.p_value)}{'' if rung.converged else '; a fit has not converged'}.")
     return tuple(lines)
 
 
@@ -465,8 +466,3 @@ def _certificates(report: GapReport) -> tuple[str, ...]:
                 f"Other causes whose fits did not converge, so that their probabilities are lower bounds: {', '.join(loose)}."
             )
     return tuple(lines)
-
-
-def _p(value: float) -> str:
-    """A p-value as text."""
-    return f"p = {value:.2g}" if value > 1e-10 else "p < 1e-10"

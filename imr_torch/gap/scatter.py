@@ -19,6 +19,7 @@ from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import laplace_evidence
 from imr_torch.gap.score import ADEQUATE
 from imr_torch.gap.shrinkage import GEL_SCATTER, with_scatter
+from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, Belief, Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.population import SCALE, GaussianShots, coordinate_units
@@ -75,13 +76,13 @@ class GelScatter:
         if not self.converged:
             lines.append("The fit of a curve by itself did not converge, so nothing is concluded from it.")
         elif self.is_cause:
-            lines.append(f"It leaves no gap in any curve (p = {self.adequacy_p:.2g}) and explains most: the gel differs.")
+            lines.append(f"It leaves no gap in any curve ({p_value(self.adequacy_p)}) and explains most: the gel differs.")
         elif self.adequate:
             lines.append(
-                f"It leaves no gap in any curve (p = {self.adequacy_p:.2g}), and so it is possible beside what is named."
+                f"It leaves no gap in any curve ({p_value(self.adequacy_p)}), and so it is possible beside what is named."
             )
         else:
-            lines.append(f"It leaves a gap in single curves (p = {self.adequacy_p:.2g}), so differences of gels are not all.")
+            lines.append(f"It leaves a gap in single curves ({p_value(self.adequacy_p)}), so differences of gels are not all.")
         found = ", ".join(f"{name} {x[1]:.2f} ({x[0]:.2f} to {x[2]:.2f})" for name, x in self.scatter.items())
         lines.append(f"Scatter between the curves, standard deviation of logarithms or controls: {found}.")
         return tuple(lines)
