@@ -78,29 +78,30 @@ def parameter_table(names: tuple[str, ...], priors: dict[str, Marginal | None], 
     return table(("name", "meaning", "SI unit", "allowed", "does nothing at", "prior where it is inferred"), rows)
 
 
-def _axes(count: int, width: float = 3.4) -> tuple[plt.Figure, list[plt.Axes]]:
-    figure, axes = plt.subplots(1, count, figsize=(width * count, 2.7), sharey=True, layout="constrained", squeeze=False)
-    return figure, list(axes[0])
-
-
 def _save(figure: plt.Figure, path: Path) -> None:
     figure.savefig(path, dpi=120, metadata={"Software": None})
     plt.close(figure)
 
 
-def draw_model(model: Material, path: Path) -> None:
-    """R(t) at three values of each free parameter, the others at typical ones."""
-    centre = {name: TYPICAL.get(name, _median(name)) for name in model.names}
-    figure, axes = _axes(len(model.free))
-    for axis, name in zip(axes, model.free, strict=True):
-        entry = PARAMETERS[name]
-        values = [min(entry.upper, share * centre[name]) for share in (1.0 / 3.0, 1.0, 3.0)]
-        for value, radius, colour in zip(values, curves([{**centre, name: x} for x in values]), _COLOURS, strict=True):
-            axis.plot(_TIMES, radius, color=colour, label=f"{entry.display_scale * value:.3g} {_unit(name)}".strip())
-        axis.set(xlabel=r"$t\,U_c/R_\mathrm{max}$", title=name)
-        axis.legend(fontsize="small", frameon=False, loc="upper right")
-    axes[0].set(ylabel=r"$R/R_\mathrm{max}$", ylim=(0.0, 1.15))
+def draw_model(model: Material, name: str, path: Path) -> None:
+    """R(t) at three values of one free parameter, the others at typical ones."""
+    centre = {each: TYPICAL.get(each, _median(each)) for each in model.names}
+    entry = PARAMETERS[name]
+    values = [min(entry.upper, share * centre[name]) for share in (1.0 / 3.0, 1.0, 3.0)]
+    figure, axis = plt.subplots(figsize=(3.4, 2.7), layout="constrained")
+    for value, radius, colour in zip(values, curves([{**centre, name: x} for x in values]), _COLOURS, strict=True):
+        axis.plot(_TIMES, radius, color=colour, label=f"{entry.display_scale * value:.3g} {_unit(name)}".strip())
+    axis.set(xlabel=r"$t\,U_c/R_\mathrm{max}$", ylabel=r"$R/R_\mathrm{max}$", ylim=(0.0, 1.15), title=name)
+    axis.legend(fontsize="small", frameon=False, loc="upper right")
     _save(figure, path)
+
+
+def model_pictures(model: Material) -> str:
+    """The pictures of a model side by side, below each other on a narrow screen."""
+    file = f"model-{model.key}-{{0}}.png"
+    one = f":::{{{{grid-item}}}}\n![Radius over time at three values of {{0}}]({file})\n:::"
+    pictures = "\n".join(one.format(name) for name in model.free)
+    return f"::::{{grid}} 1 {min(2, len(model.free))} 3 3\n:gutter: 1\n\n{pictures}\n::::"
 
 
 def draw_effect(effect: Effect, path: Path) -> None:
@@ -198,7 +199,7 @@ $S$ is the stress integral, which adds to the pressure of the liquid at the wall
 One panel a parameter, each at a third, once and three times its typical value; We {_DESIGN[0]:g},
 R_inf/Rmax {_DESIGN[1]:g}, heat and vapour transport.
 
-![Radius over time at three values of each parameter of {model.title}](model-{model.key}.png)
+{model_pictures(model)}
 
 {alike}## Source
 
@@ -258,7 +259,8 @@ def _laws(effect: Effect) -> str:
     laws = [law for law in (effect.setting, effect.gas_loss, effect.vapour, effect.far_field) if law is not None]
     laws += [] if laws else [term.law for term in TERMS if term.switch == effect.names[0]]
     said = [" ".join((law.__doc__ or "").split()).replace("``", "`") for law in laws]
-    return "\n\n".join(f"*From the code:* {text}" for text in said if text) + "\n"
+    told = [text for text in said if text and text.rstrip(".").lower() != effect.meaning.lower()]
+    return "\n\n".join(f"*From the code:* {text}" for text in told) + "\n"
 
 
 def index_page() -> str:
@@ -292,7 +294,8 @@ def generate(folder: Path) -> None:
         out.write("index.md", index_page())
         for model in MATERIALS.values():
             out.write(f"model-{model.key}.md", model_page(model, found))
-            draw_model(model, out.place(f"model-{model.key}.png"))
+            for name in model.free:
+                draw_model(model, name, out.place(f"model-{model.key}-{name}.png"))
         for effect in LIBRARY.values():
             name = f"effect-{file_name(effect.name)}"
             out.write(f"{name}.md", effect_page(effect, found))
