@@ -29,9 +29,16 @@ OUT.mkdir(parents=True, exist_ok=True)
 
 # %%
 for model in MATERIALS.values():
-    print(model, "|", model.reference)
-for parameter in PARAMETERS:
-    print(f"{parameter.name:6s} {parameter.meaning:20s} [{parameter.unit}]  neutral {parameter.neutral}")
+    print(f"{model.title:22s} {', '.join(model.names):28s} {model.reference}")
+
+# %% [markdown]
+# We take one model. (The vector also holds what gas, liquid and camera may do; the catalogue of the documentation has it all.)
+
+# %%
+for name in MATERIALS["gen_qkv"].names:
+    parameter = PARAMETERS[name]
+    unit = "" if parameter.unit == "1" else parameter.unit
+    print(f"{name:6s} {parameter.meaning:18s} {unit:5s} does nothing at {parameter.neutral:g}")
 
 stiffening = torch.tensor([0.0, 0.25, 0.5, 1.0], dtype=torch.float64)
 gels = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": stiffening})

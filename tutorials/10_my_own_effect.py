@@ -29,7 +29,7 @@ SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 
 # %%
 prior = TruncatedNormal(0.0, 0.03)
-PARAMETERS.register(
+parameter = PARAMETERS.register(
     Parameter(
         "fading_pressure", "pressure afar beyond p_inf at time zero, over p_inf", "1", "none", -0.5, 0.5, 0.0, prior=prior
     )

@@ -8,10 +8,13 @@
 # %%
 import os
 
+import matplotlib.pyplot as plt
+
 from imr_torch import characterize, example_gel, load_traces, wide_prior
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import intervals
-from imr_torch.observe import Statement
+from imr_torch.observe import Statement, gel_medium
+from imr_torch.plot import MODEL, TRUTH
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 options = SearchOptions(scouts=32, starts=2) if SMOKE else None
@@ -28,33 +31,43 @@ print("\n".join(line for line in assumed.report().splitlines() if "assumed" in l
 
 # %% [markdown]
 # ## A density that is 3 % higher
-# Say that you weighed the gel: 1092 kg/m^3. The example gel was simulated with 1060, so this is wrong; look at G.
+# Say that you weighed the gel: 1092 kg/m^3. The example gel was simulated with 1060 kg/m^3 and G = 8.31 kPa, so this is wrong.
 
 # %%
 heavier = characterize(traces, prior=prior, estimate_noise=False, options=options, medium="density=1092")
+found = {}
 for name, result in (("assumed 1060", assumed), ("stated 1092", heavier)):
-    low, middle, high = (1e-3 * x for x in intervals(result.posterior.best)["G"])
-    print(f"{name} kg/m^3: G = {middle:.2f} kPa (90 %: {low:.2f} to {high:.2f}); the truth is 8.31")
+    found[name] = [1e-3 * x for x in intervals(result.posterior.best)["G"]]
+    low, middle, high = found[name]
+    print(f"{name}: G = {middle:.2f} kPa (90 %: {low:.2f} to {high:.2f})")
 
 # %% [markdown]
 # ## A density that is not well known
-# With a standard deviation, here 20 kg/m^3, the density is inferred beside the gel. The interval of G becomes as wide as is
-# honest. The
-# line after it says what the curves have told about the density itself.
+# With a standard deviation, here 20 kg/m^3, the density is inferred beside the gel, and the interval of G becomes as wide as
+# is honest. The last line says what the curves have told about the density itself.
 
 # %%
 honest = characterize(traces, prior=prior, estimate_noise=False, options=options, medium="density=1070:20")
-low, middle, high = (1e-3 * x for x in intervals(honest.posterior.best)["G"])
-print(f"density 1070 +- 20: G = {middle:.2f} kPa (90 %: {low:.2f} to {high:.2f})")
-print("\n".join(line for line in honest.report().splitlines() if "density" in line))
+found["1070 +- 20"] = [1e-3 * x for x in intervals(honest.posterior.best)["G"]]
+low, middle, high = found["1070 +- 20"]
+print(f"1070 +- 20: G = {middle:.2f} kPa (90 %: {low:.2f} to {high:.2f})")
+print("\n".join(line.strip() for line in honest.report().splitlines() if "density was stated" in line))
+
+# %%
+figure, ax = plt.subplots(figsize=(5.2, 2.2), layout="constrained")
+for row, (low, middle, high) in enumerate(found.values()):
+    ax.plot([low, high], [row, row], color=MODEL)
+    ax.plot(middle, row, "o", color=MODEL)
+ax.axvline(8.31, color=TRUTH, linestyle="--", label="truth")
+ax.set(yticks=range(len(found)), ylim=(len(found) - 0.5, -0.5), xlabel="G (kPa), 90 % interval", ylabel="density (kg/m$^3$)")
+ax.set_yticklabels(found)
+legend = ax.legend(frameon=False)
 
 # %% [markdown]
 # ## By name, and beside the file
-# Names set all properties, with sources; values after a name replace single ones. The same text works on the command line,
-# `imr-torch characterize gel.csv --medium water,temperature=310`, and as an object in the JSON file beside a table:
-# `{"medium": {"name": "water", "temperature": 310, "density": [1070, 20]}}`.
+# A name sets the properties that its source has; values after it replace single ones; the rest stays assumed. The same text
+# works on the command line, `imr-torch characterize gel.csv --medium water,temperature=310`, and as an object in the JSON
+# file beside a table: `{"medium": {"name": "water", "temperature": 310, "density": [1070, 20]}}`.
 
 # %%
-statement = Statement.from_text("water,temperature=310,density=1070:20")
-for name, (value, sd) in statement.values.items():
-    print(f"{name}: {value:.6g}" + ("" if sd is None else f" +- {sd:g}"))
+print(gel_medium(Statement.from_text("water,temperature=310,density=1070:20")).report())
