@@ -24,8 +24,8 @@ SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 
 # %% [markdown]
 # ## Two gels
-# One is the same in every shot. The other differs: the standard deviation of the logarithm of G is 0.25, about 25 %. (Polytropic
-# bubbles keep this short; take the default simulator for real gels.)
+# One is the same in every shot. The other differs: the standard deviation of the logarithm of G is 0.25, about 25 %.
+# (Polytropic bubbles keep this short; take the default simulator for real gels.)
 
 # %%
 simulator = PolytropicSimulator()

@@ -29,7 +29,7 @@ HOME = Path(tempfile.mkdtemp())
 simulator = PolytropicSimulator()
 scale = float(simulator.conditions.surroundings.time_scale(3e-4))
 weber = float(simulator.conditions.surroundings.weber(3e-4))
-noise = generator(3)
+noise = generator(4)
 times = torch.arange(0.0, 2.8 * scale, 1e-6, dtype=torch.float64)
 (HOME / "day1").mkdir()
 for number in range(2 if SMOKE else 8):
