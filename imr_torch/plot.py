@@ -23,6 +23,7 @@ from imr_torch.units import Surroundings
 
 DATA, MODEL, SECOND, TRUTH = "#222222", "#0072B2", "#E69F00", "#D55E00"  # safe for colour-blind readers
 PALE = "#B8B8B8"  # frames that were not fitted
+CYCLE = (MODEL, TRUTH, "#009E73", SECOND, "#CC79A7", "#56B4E9", DATA)  # several curves in one panel (Okabe and Ito 2008)
 _CURVES_SHOWN = 12
 _WIDE = 30.0  # ratio of the largest to the smallest value from which on an axis is logarithmic
 _LINE = 0.06  # part of an axis below which a density is a line, and is drawn again in an inset
@@ -39,6 +40,7 @@ def _axes(ax: Axes | None, size: tuple[float, float] = (5.2, 3.4)) -> Axes:
 def plot_solution(solution: Solution, *, ax: Axes | None = None, labels: Sequence[str] | None = None) -> Axes:
     """Radius over time of each bubble of a flat batch (``B x n_t``)."""
     ax = _axes(ax)
+    ax.set_prop_cycle(color=CYCLE)
     for i, (times, radius) in enumerate(zip(solution.times, solution.radius, strict=True)):
         ax.plot(times, radius, lw=1.5, label=plain(labels[i]) if labels else None)
     ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
@@ -293,6 +295,7 @@ def draw_information(
 def plot_places(places: Mapping[str, Sequence[float]], *, ax: Axes | None = None) -> Axes:
     """Empirical distribution of where truths lie in their posteriors, less the diagonal; in the band 95 % of the time."""
     ax = _axes(ax)
+    ax.set_prop_cycle(color=CYCLE)
     for name, values in places.items():
         at = torch.as_tensor(sorted(values), dtype=torch.float64)
         share = torch.arange(1, len(at) + 1, dtype=torch.float64) / len(at)

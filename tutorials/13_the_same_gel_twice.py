@@ -1,7 +1,7 @@
 # %% [markdown]
 # # The same gel twice
 # You will be able to say whether shots of "one gel" are of one gel, how much the gel differs from shot to shot, and what a
-# shot to come would have. Takes some ten seconds on one core.
+# shot to come would have. Takes about half a minute on one core.
 #
 # Eight shots of one gel never give the same modulus. Is that the error of each shot, or does the gel differ from place to
 # place? A population answers: every shot has its own gel, and all gels come from one distribution, whose median and

@@ -1,7 +1,7 @@
 # %% [markdown]
 # # An active diagnosis
 # You will be able to find the cause of a gap with few shots, by choosing each shot so that the remaining causes differ most.
-# Takes about a minute on one core.
+# Takes some twenty seconds on one core.
 #
 # A model misses the data, and several causes could explain it. More shots of the same kind may never tell them
 # apart. So after each shot the experiments are diagnosed, and the next design is the one at which the causes that are left
@@ -39,12 +39,13 @@ causes = ("damage", "strain_stiffening", "sound_speed") + (() if SMOKE else ("he
 
 # %% [markdown]
 # ## The campaign
-# The learner diagnoses, the policy tells causes apart, and it stops when one cause has a probability of 0.9.
+# The learner diagnoses, the policy tells causes apart, and it stops when one cause has a probability of 0.8. The unknown
+# effect, "other", has half of the probability before the data, and keeps some of it however well a known one fits.
 
 # %%
 learner = CauseLearner(causes)
 policy = TellCausesApart(learner, grid=(2, 2) if SMOKE else (4, 4), draws=4 if SMOKE else 16)
-settings = CampaignSettings(plan=plan, policy=policy, learner=learner, stop=CauseProbability(0.9))
+settings = CampaignSettings(plan=plan, policy=policy, learner=learner, stop=CauseProbability(0.8))
 campaign = Campaign(HOME, wide_prior(["nhkv"]), simulator, settings=settings, seed=1)
 
 # %%

@@ -1,7 +1,7 @@
 # %% [markdown]
 # # On a cluster
 # You will be able to characterise many shots at once on a Dask cluster or on the nodes of a batch system, and continue after an
-# interruption. Takes about half a minute; needs the extra `cluster`.
+# interruption. Takes about a minute; needs the extra `cluster`.
 #
 # Shots are independent, so they can be fitted in parallel. The scheduler hands out curves, not files: the workers need the
 # package, and no shared disk. What comes back is written by the process that asked.
@@ -63,6 +63,9 @@ options = BatchOptions(wide_prior(["nhkv"]), simulator, rest_radius=(0.2, 0.01),
 with client.get_executor() as executor:
     summary = run_batch(HOME / "day1", folder=HOME / "results", options=options, executor=executor, window=64)
 print(summary.report())
+for row in summary.rows:
+    interval = f"{row['G']:.0f} Pa (90 %: {row['G_low']:.0f} to {row['G_high']:.0f})"
+    print(f"{row['shot']}, {row['model']} (RMSE in R* {row['rmse']:.4f}): G {interval}")
 
 # %% [markdown]
 # Cut off? The same call computes only what is missing. With nothing missing it needs no cluster.

@@ -1,14 +1,16 @@
 """Runs ``imr-torch plot``; its help and options are in :mod:`imr_torch.cli.options.plot`."""
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from imr_torch.cli.figures import formats_of, save_figures, subfolder
 from imr_torch.errors import InputDataError
 from imr_torch.html import write
-from imr_torch.results import campaign_page, characterization_page, draw_figures, read_document
+from imr_torch.results import NamedFigure, campaign_page, characterization_page, draw_figures, for_publication, read_document
 
 _PAGES: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "imr_torch characterize": characterization_page,
@@ -26,7 +28,7 @@ def run(args: argparse.Namespace) -> None:
     folder = Path(args.out) if args.out else Path(args.file).parent
     parts = _each(args, document, folder) if "each" in document else {folder: document}
     try:
-        figures = {place: draw_figures(part) for place, part in parts.items()}
+        figures = {place: _sized(draw_figures(part), args.columns) for place, part in parts.items()}
     except InputDataError as error:
         raise InputDataError(f"{args.file}: {error}") from None
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
@@ -36,6 +38,13 @@ def run(args: argparse.Namespace) -> None:
         print(f"wrote {write(_page(document), args.html)}")
     if missing:
         raise InputDataError(f"{args.file}: {missing} figure(s) could not be drawn (see above); make the result anew.")
+
+
+def _sized(figures: Sequence[NamedFigure], columns: str | None) -> list[NamedFigure]:
+    """The figures, at their printed width where one is named."""
+    if columns is None:
+        return list(figures)
+    return [replace(figure, draw=partial(for_publication, figure.draw, columns)) for figure in figures]
 
 
 def _each(args: argparse.Namespace, document: Mapping[str, Any], folder: Path) -> dict[Path, Mapping[str, Any]]:

@@ -7,9 +7,11 @@ from imr_torch.results.figures import draw_figures
 from imr_torch.results.header import SCHEMA_VERSION, check_document, header, read_document
 from imr_torch.results.named import NamedFigure
 from imr_torch.results.page import characterization_page
+from imr_torch.results.publication import WIDTHS, for_publication
 
 __all__ = [
     "SCHEMA_VERSION",
+    "WIDTHS",
     "NamedFigure",
     "campaign_document",
     "campaign_page",
@@ -17,6 +19,7 @@ __all__ = [
     "characterization_page",
     "check_document",
     "draw_figures",
+    "for_publication",
     "header",
     "read_document",
 ]

@@ -48,6 +48,7 @@ TARGETS = ("parameters", "model", "both")
 STRATEGIES = ("qLogNEI", "qEI", "paper")
 ESTIMATORS = ("laplace", "importance", "adaptive", "nested", "contrastive", "paper")
 FORMATS = ("png", "pdf", "svg")
+COLUMNS = ("one", "two")
 
 DEFAULT_MODELS = "newtonian,nhkv,gen_qkv"
 COLLAPSES = 2

@@ -1,0 +1,94 @@
+"""Figures at the size at which they are printed: one or two columns wide, text of 6 to 8 points, thin lines.
+
+A figure that is made small by the typesetting has text that cannot be read. Here it is drawn again at its printed width, so
+that points are points. Colours are those of :mod:`imr_torch.plot` (Okabe and Ito 2008), which colour-blind readers
+can tell apart.
+"""
+
+from collections.abc import Callable
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from imr_torch.errors import InputDataError
+
+WIDTHS = {"one": 86.0, "two": 178.0}
+"""Number of columns -> width in mm, as most journals have them."""
+
+TEXT, SMALL = 8.0, 7.0
+"""Points: of axes and titles, and of ticks and legends."""
+
+STYLE = {
+    "font.size": TEXT,
+    "axes.titlesize": TEXT,
+    "axes.labelsize": TEXT,
+    "figure.titlesize": TEXT,
+    "xtick.labelsize": SMALL,
+    "ytick.labelsize": SMALL,
+    "legend.fontsize": SMALL,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.handlelength": 1.4,
+    "legend.columnspacing": 1.0,
+}
+"""Settings of matplotlib under which figures are drawn."""
+
+_MM = 1.0 / 25.4  # inches
+_LEAST_HEIGHT = 0.62  # of the width of one column
+
+
+def for_publication(draw: Callable[[], Figure], columns: str) -> Figure:
+    """Draw a figure at its printed size.
+
+    Args:
+        draw: draws it at any size, with constrained layout.
+        columns: ``"one"`` or ``"two"``.
+
+    Raises:
+        InputDataError: for another number of columns.
+
+    >>> import matplotlib.pyplot as plt
+    >>> from imr_torch.results import for_publication
+    >>> figure = for_publication(lambda: plt.subplots(layout="constrained")[0], "one")
+    >>> [round(25.4 * x) for x in figure.get_size_inches().tolist()]  # mm
+    [86, 64]
+    """
+    if columns not in WIDTHS:
+        raise InputDataError(f"columns is {columns!r}; expected {' or '.join(WIDTHS)}.")
+    with plt.rc_context(STYLE):
+        figure = draw()
+        width, height = figure.get_size_inches()
+        wanted = WIDTHS[columns] * _MM
+        share = height / width if columns == "one" else min(height / width, height / wanted)
+        figure.set_size_inches(wanted, max(share * wanted, _LEAST_HEIGHT * WIDTHS["one"] * _MM))
+        for text in figure.findobj(Text):
+            _fit(text, TEXT)
+        if columns == "one":
+            _legend_below(figure)
+        legends = [legend for ax in figure.axes if (legend := ax.get_legend()) is not None] + figure.legends
+        for text in (text for legend in legends for text in legend.get_texts()):
+            _fit(text, SMALL)
+        figure.draw_without_rendering()  # makes the ticks under these settings
+    return figure
+
+
+def _legend_below(figure: Figure) -> None:
+    """Put the only legend of a small figure below it, where it hides no data."""
+    owners = [ax for ax in figure.axes if ax.get_legend() is not None]
+    if len(owners) != 1 or figure.legends:
+        return
+    legend = owners[0].get_legend()
+    assert legend is not None
+    handles, labels = legend.legend_handles, [text.get_text() for text in legend.get_texts()]
+    legend.remove()
+    rows = (len(labels) + 1) // 2
+    figure.legend([h for h in handles if h is not None], labels, loc="outside lower center", ncols=2, frameon=False)
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(width, height + rows * 1.5 * SMALL / 72.0)
+
+
+def _fit(text: Text, largest: float) -> None:
+    if text.get_fontsize() > largest:
+        text.set_fontsize(largest)
