@@ -6,6 +6,7 @@ can tell apart.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
@@ -19,7 +20,7 @@ WIDTHS = {"one": 86.0, "two": 178.0}
 TEXT, SMALL = 8.0, 7.0
 """Points: of axes and titles, and of ticks and legends."""
 
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.size": TEXT,
     "axes.titlesize": TEXT,
     "axes.labelsize": TEXT,
@@ -90,5 +91,5 @@ def _legend_below(figure: Figure) -> None:
 
 
 def _fit(text: Text, largest: float) -> None:
-    if text.get_fontsize() > largest:
+    if float(text.get_fontsize()) > largest:
         text.set_fontsize(largest)
