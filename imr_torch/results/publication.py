@@ -37,6 +37,7 @@ STYLE: dict[Any, Any] = {
 """Settings of matplotlib under which figures are drawn."""
 
 _MM = 1.0 / 25.4  # inches
+_WIDER = 1.1  # than its axes, from which on a label takes two lines
 _LEAST_HEIGHT = 0.62  # of the width of one column
 
 
@@ -71,8 +72,33 @@ def for_publication(draw: Callable[[], Figure], columns: str) -> Figure:
         legends = [legend for ax in figure.axes if (legend := ax.get_legend()) is not None] + figure.legends
         for text in (text for legend in legends for text in legend.get_texts()):
             _fit(text, SMALL)
+        _break_long_labels(figure)
         figure.draw_without_rendering()  # makes the ticks under these settings
     return figure
+
+
+def _break_long_labels(figure: Figure) -> None:
+    """Put titles and labels that are wider than their axes into two lines."""
+    figure.draw_without_rendering()
+    for ax in figure.axes:
+        for text in (ax.title, ax.xaxis.label):
+            if text.get_window_extent().width > _WIDER * ax.get_window_extent().width:
+                text.set_text(in_two_lines(text.get_text()))
+
+
+def in_two_lines(text: str) -> str:
+    r"""The text, broken at the blank next to its middle that is not within a formula.
+
+    >>> from imr_torch.results.publication import in_two_lines
+    >>> in_two_lines("$G = 8$ (7 to 9)")
+    '$G = 8$\n(7 to 9)'
+    """
+    blanks = [i for i, letter in enumerate(text) if letter == " " and text[:i].count("$") % 2 == 0]
+    outside = [i for i in blanks if text[:i].count("(") == text[:i].count(")")] or blanks
+    if not outside:
+        return text
+    at = min(outside, key=lambda i: abs(i - len(text) / 2))
+    return f"{text[:at]}\n{text[at + 1 :]}"
 
 
 def _legend_below(figure: Figure) -> None:

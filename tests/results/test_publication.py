@@ -50,6 +50,17 @@ def test_that_the_legend_of_a_small_figure_hides_no_data():
     assert for_publication(drawn, "two").axes[0].get_legend() is not None
 
 
+def test_that_a_label_wider_than_its_axes_takes_two_lines():
+    def two():
+        figure, axes = plt.subplots(1, 2, figsize=(5.8, 3.0), layout="constrained")
+        axes[1].set(xlabel="quantile of the standard normal distribution", title="short")
+        return figure
+
+    right = for_publication(two, "one").axes[1]
+    assert right.get_xlabel().splitlines() == ["quantile of the standard", "normal distribution"]
+    assert right.get_title() == "short"
+
+
 def test_that_settings_do_not_leak():
     before = plt.rcParams["font.size"]
     for_publication(drawn, "one")
