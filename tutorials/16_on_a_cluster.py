@@ -80,7 +80,7 @@ print(again.report())
 # %% [markdown]
 # ## With SLURM
 # Without Dask, one job of an array for each file is enough, because each fits by itself. Save as `shots.sh`, and submit
-# with `sbatch --array=1-$(ls day1 | wc -l) shots.sh`:
+# with `sbatch --array=1-$(ls day1/*.csv | wc -l) shots.sh`:
 #
 # ```shell
 # #!/bin/bash

@@ -1,10 +1,13 @@
 """The built pages in a real browser: navigation, search, equations, narrow screens. Skipped where they are not built."""
 
 import shutil
+from collections import defaultdict
 from functools import partial
+from html.parser import HTMLParser
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
+from urllib.parse import unquote, urldefrag
 
 import pytest
 
@@ -15,10 +18,50 @@ BUILT = Path(__file__).resolve().parents[2] / "docs" / "_build" / "html"
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 PAGES = ("index", "start/index", "catalogue/model-sns", "catalogue/effect-wall", "api/material", "howto/file_does_not_load")
 
-pytestmark = [
-    pytest.mark.skipif(not (BUILT / "index.html").exists(), reason="the documentation is not built (make docs)"),
-    pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed"),
-]
+built = pytest.mark.skipif(not (BUILT / "index.html").exists(), reason="the documentation is not built (make docs)")
+
+
+class Page(HTMLParser):
+    """Targets of links, pictures and scripts of a page, and the names that links may end with."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.links, self.anchors = [], set()
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        for key, value in attributes:
+            if key in ("href", "src") and value and not value.startswith(("http:", "https:", "data:", "mailto:")):
+                self.links.append(value)
+            elif key in ("id", "name") and value:
+                self.anchors.add(value)
+
+
+def dead_links(folder):
+    """Links within a folder of pages that lead to no file, or to no place in it."""
+    pages = {path.resolve(): Page(path.read_text(encoding="utf-8")) for path in folder.rglob("*.html")}
+    dead = defaultdict(set)
+    for path, page in pages.items():
+        for link in page.links:
+            file, anchor = urldefrag(unquote(link))
+            target = (path.parent / file.partition("?")[0]).resolve() if file else path
+            target = target / "index.html" if target.is_dir() else target
+            if not target.exists() or (anchor and target in pages and anchor not in pages[target].anchors):
+                dead[str(path.relative_to(folder.resolve()))].add(link)
+    return dict(dead)
+
+
+@built
+def test_that_no_link_is_dead():
+    assert dead_links(BUILT) == {}
+
+
+def test_that_a_dead_link_is_found(tmp_path):
+    (tmp_path / "a.html").write_text(
+        '<p id="x"></p><a href="b.html#y"></a><a href="#x"></a><a href="c.html"></a><img src="d.png">'
+    )
+    (tmp_path / "b.html").write_text('<a href="a.html#x"></a>')
+    assert dead_links(tmp_path) == {"a.html": {"b.html#y", "c.html", "d.png"}}
 
 
 class Quiet(SimpleHTTPRequestHandler):
@@ -28,6 +71,8 @@ class Quiet(SimpleHTTPRequestHandler):
 
 @pytest.fixture(scope="module")
 def site():
+    if not (BUILT / "index.html").exists():
+        pytest.skip("the documentation is not built (make docs)")
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(BUILT)))
     Thread(target=server.serve_forever, daemon=True).start()
     yield f"http://127.0.0.1:{server.server_address[1]}"
@@ -36,6 +81,8 @@ def site():
 
 @pytest.fixture(scope="module")
 def browser():
+    if BROWSER is None:
+        pytest.skip("no Chromium is installed")
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with api.sync_playwright() as started:
         running = started.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
@@ -81,6 +128,7 @@ def test_that_the_menu_opens_on_a_narrow_screen(site, browser):
     page.close()
 
 
+@built
 def test_that_every_effect_of_the_library_has_its_page():
     built = {path.stem for path in (BUILT / "catalogue").glob("effect-*.html")}
     assert {f"effect-{file_name(name)}" for name in LIBRARY} <= built

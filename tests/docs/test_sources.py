@@ -73,6 +73,23 @@ def test_that_a_command_of_the_documentation_has_options_that_exist(page, line):
     parser().parse_args(shlex.split(line, comments=True)[1:])
 
 
+def examples() -> list:
+    blocks = ((path, re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)) for path in WRITTEN)
+    return [pytest.param(code, id=f"{path.stem}-{number}") for path, found in blocks for number, code in enumerate(found)]
+
+
+@pytest.mark.parametrize("code", examples())
+def test_that_an_example_in_python_runs(code, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(code, {})
+
+
+def test_that_every_page_of_tasks_is_in_the_table_of_contents():
+    listed = re.search(r"```\{toctree\}\n.*?\n\n(.*?)```", (DOCS / "howto" / "index.md").read_text(), re.DOTALL)
+    assert listed is not None
+    assert set(listed[1].split()) == {path.stem for path in (DOCS / "howto").glob("*.md")} - {"index"}
+
+
 def test_that_commands_were_found():
     assert len(commands()) > 15
 
