@@ -14,6 +14,7 @@ from imr_torch.campaign.policies import (
     Situation,
     SpaceFilling,
 )
+from imr_torch.campaign.population import LearnPopulation, PopulationLearner
 from imr_torch.campaign.settings import CampaignSettings
 from imr_torch.campaign.stopping import (
     AllOf,
@@ -46,12 +47,14 @@ __all__ = [
     "GainBelow",
     "Inference",
     "Journal",
+    "LearnPopulation",
     "Learner",
     "ModelProbability",
     "Observations",
     "Optimal",
     "Outcome",
     "PaperLearner",
+    "PopulationLearner",
     "Proposal",
     "Random",
     "RelativeSd",

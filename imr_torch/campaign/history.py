@@ -24,6 +24,7 @@ class Step:
         assimilation: the fits; None when the step was read back from the journal, or the learner makes none.
         noise: of one curve, if the learner estimates it.
         finding: of the diagnosis, if the learner makes one.
+        population: JSON-ready, if the learner infers one and there are two shots or more.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import Step
@@ -38,6 +39,7 @@ class Step:
     assimilation: Assimilation | None = None
     noise: Noise | None = None
     finding: Finding | None = None
+    population: dict[str, Any] | None = None
 
 
 @dataclass
@@ -63,7 +65,8 @@ class History:
             evidence = tuple(Evidence(**_infinite(entry)) for entry in event["evidence"])
             noise = Noise(**event["noise"]) if event.get("noise") else None
             finding = Finding.from_dict(event["finding"]) if event.get("finding") else None
-            self.steps.append(Step(event["step"], Belief.from_dict(event["belief"]), evidence, noise=noise, finding=finding))
+            belief = Belief.from_dict(event["belief"])
+            self.steps.append(Step(event["step"], belief, evidence, None, noise, finding, event.get("population")))
         elif event["event"] == "forget":
             self.withdrawn.append(self.told.pop(event["experiment"]))
             self.steps = [step for step in self.steps if step.number < event["experiment"]]

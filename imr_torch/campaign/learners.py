@@ -106,6 +106,7 @@ class Inference:
         assimilation: the fits; None if the method makes none to all experiments.
         noise: of one curve, as the residuals have it; None if the method takes it as planned.
         finding: of a learner that diagnoses a gap.
+        population: of a learner that infers one, as :meth:`imr_torch.population.Population.to_dict` gives it.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import Inference
@@ -120,6 +121,7 @@ class Inference:
     assimilation: Assimilation | None = None
     noise: Noise | None = None
     finding: Finding | None = None
+    population: dict[str, Any] | None = None
 
 
 class Learner(Protocol):

@@ -329,10 +329,12 @@ class Campaign:
                 evidence=[finite(asdict(e)) for e in inference.evidence],
                 noise=vars(inference.noise) if inference.noise else None,
                 **({"finding": asdict(inference.finding)} if inference.finding else {}),
+                **({"population": inference.population} if inference.population else {}),
                 **inference.record,
             )
+        found = inference
         self.steps.append(
-            Step(fresh[-1], inference.belief, inference.evidence, inference.assimilation, inference.noise, inference.finding)
+            Step(fresh[-1], found.belief, found.evidence, found.assimilation, found.noise, found.finding, found.population)
         )
         return self.steps[-1]
 

@@ -1,6 +1,7 @@
 """Runs ``imr-torch campaign``; its help and options are in :mod:`imr_torch.cli.options.campaign`."""
 
 import argparse
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -11,7 +12,7 @@ import torch
 
 from imr_torch.campaign import Campaign, CampaignSettings, Finding, Journal, Proposal
 from imr_torch.characterization import medium_of
-from imr_torch.cli.campaign_settings import check_goal, hidden, one_model, settings_of
+from imr_torch.cli.campaign_settings import check_goal, hidden, one_model, scatter, settings_of
 from imr_torch.cli.common import (
     check_counts,
     header_of,
@@ -31,9 +32,10 @@ from imr_torch.html import write
 from imr_torch.material import PARAMETERS, Belief, ReferenceCase, reference_case
 from imr_torch.observe import Experiment, SimulatedLaboratory, TraceSet, load_traces, prepare
 from imr_torch.observe.medium import label
-from imr_torch.random import child
+from imr_torch.random import child, generator
 from imr_torch.results import campaign_document, campaign_page, draw_figures
 from imr_torch.results.campaign_page import cause_sentence
+from imr_torch.results.population import population_lines
 from imr_torch.simulate import Simulator
 
 _SHOWN, _LEAST = 6, 0.001  # causes that are listed, and the probability below which none is
@@ -62,8 +64,8 @@ def run(args: argparse.Namespace) -> None:
     print(medium.report())
     started = time.process_time()
     case = reference_case(args.case) if args.case else None
-    if args.goal == "cause":
-        prior = one_model(prior, case)
+    if args.goal != "gel":
+        prior = one_model(prior, case, args.goal)
     campaign = _open(args, simulator, prior, settings)
     try:
         with campaign.journal.held():
@@ -89,26 +91,31 @@ def _open(args: argparse.Namespace, simulator: Simulator, prior: Belief, setting
     note = (
         {"case": args.case}
         | ({"hidden": hidden(args)} if args.hide is not None else {})
+        | ({"scatter": scatter(args)} if args.scatter is not None else {})
         | ({"medium": args.gel_medium.to_dict()} if args.medium else {})
     )
     return Campaign(folder, prior, simulator, settings=settings, seed=args.seed, note=note)
 
 
 def _simulated(campaign: Campaign, case: ReferenceCase, args: argparse.Namespace) -> tuple[Sequence[Proposal], str | None]:
-    """Shoot the secret gel of a reference case; no proposals, and why it ended early."""
-    laboratory = SimulatedLaboratory(
-        campaign.simulator,
-        PARAMETERS.pack({**case.truth, **hidden(args)}),
-        noise=campaign.settings.plan.noise,
-        repeats=campaign.settings.plan.repeats,
-    )
-    progress = progress_of(args)
+    """Shoot the secret gel of a reference case, or gels scattered about it; no proposals, and why it ended early."""
+    progress, spread = progress_of(args), scatter(args)
+
+    def gel(number: int) -> dict[str, float]:
+        source = generator(child(args.seed, "gel", number))
+        factors = {
+            name: math.exp(sd * float(torch.randn(1, generator=source, dtype=torch.float64))) for name, sd in spread.items()
+        }
+        return {name: value * factors.get(name, 1.0) for name, value in case.truth.items()}
 
     def shoot(design: torch.Tensor, number: int) -> Experiment:
         if progress:
             progress(
                 f"experiment {number}: {campaign.settings.space.describe(design, campaign.simulator.conditions.surroundings)}"
             )
+        plan = campaign.settings.plan
+        gels = PARAMETERS.pack({**gel(number), **hidden(args)})
+        laboratory = SimulatedLaboratory(campaign.simulator, gels, noise=plan.noise, repeats=plan.repeats)
         return laboratory.shoot(design, seed=child(args.seed, "shoot", number))
 
     if args.forget is not None:
@@ -180,6 +187,9 @@ def _report(
         print(f"noise {campaign.steps[-1].noise}")
     if campaign.steps and (found := campaign.steps[-1].finding):
         print(_found(found))
+    if campaign.steps and (population := campaign.steps[-1].population):
+        for line in population_lines(population):
+            print(line)
     print("model probabilities: " + ", ".join(f"{k} {v:.4f}" for k, v in belief.probabilities.items()))
     errors, truth = {}, None
     if case:

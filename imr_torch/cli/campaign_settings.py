@@ -1,19 +1,32 @@
 """What the options of ``imr-torch campaign`` say of choosing, learning and ending."""
 
 import argparse
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import torch
 
 from imr_torch.assimilate import NOISE_ROUNDS
-from imr_torch.campaign import CampaignSettings, DesignPolicy, ExactLearner, Fixed, Optimal, Random, SpaceFilling, stopping_rule
+from imr_torch.campaign import (
+    CampaignSettings,
+    DesignPolicy,
+    ExactLearner,
+    Fixed,
+    LearnPopulation,
+    Optimal,
+    PopulationLearner,
+    Random,
+    SpaceFilling,
+    stopping_rule,
+)
 from imr_torch.cli.common import METHODS, names_of, parse_pair, parse_values
 from imr_torch.cli.design import plan_of, space_of
 from imr_torch.errors import InputDataError
 from imr_torch.gap import CauseLearner, TellCausesApart
-from imr_torch.material import Belief, ReferenceCase, library
+from imr_torch.material import PARAMETERS, Belief, ReferenceCase, library, reference_case
 
+_LARGEST = 2.0  # scatter of a logarithm
 _CAUSE_SURE = "cause=0.9"  # when a campaign for a cause ends, if nothing else is asked for
 _FITS = {"exact": "map", "en4dvar": "en4dvar"}
 _BASELINES: dict[str, Callable[[], DesignPolicy]] = {"random": Random, "space-filling": SpaceFilling}
@@ -31,6 +44,11 @@ def settings_of(args: argparse.Namespace) -> CampaignSettings:
         base = replace(base, learner=learner)
         policy = TellCausesApart(learner) if args.policy == "optimal" else policy
         plan = replace(plan, collapses=None) if args.case else plan
+    if args.goal == "population":
+        learner = PopulationLearner(noise_rounds=0 if args.case else NOISE_ROUNDS)
+        base = replace(base, learner=learner)
+        policy = LearnPopulation(learner, policy) if isinstance(policy, Optimal) else policy
+        plan = replace(plan, repeats=1) if args.repeats is None else plan  # a repeat would be of the same gel
     if isinstance(policy, Fixed):
         space.check(torch.tensor(policy.designs, dtype=torch.float64))
         if args.case and not args.stop and args.designs > len(policy.designs):
@@ -39,28 +57,62 @@ def settings_of(args: argparse.Namespace) -> CampaignSettings:
     return replace(base, space=space, plan=plan, policy=policy, stop=stopping_rule(*rules))
 
 
+_OF_GOAL = {"effects": "cause", "hide": "cause", "scatter": "population"}
+
+
 def check_goal(args: argparse.Namespace) -> None:
     """Raise for options that do not suit the goal."""
+    for option, goal in _OF_GOAL.items():
+        if args.goal != goal and getattr(args, option) is not None:
+            raise InputDataError(f"--{option} has no effect without --goal {goal}.")
+    if args.goal != "cause" and any(part.strip().startswith("cause=") for text in args.stop for part in text.split(",")):
+        raise InputDataError(f"--stop is {' '.join(args.stop)!r}: cause= has no effect without --goal cause.")
     if args.goal == "gel":
-        for option in ("effects", "hide"):
-            if getattr(args, option) is not None:
-                raise InputDataError(f"--{option} has no effect without --goal cause.")
-        if any(part.strip().startswith("cause=") for text in args.stop for part in text.split(",")):
-            raise InputDataError(f"--stop is {' '.join(args.stop)!r}: cause= has no effect without --goal cause.")
         return
-    if args.q != 1:
+    if args.q != 1 and args.goal == "cause":
         raise InputDataError(
             f"--q is {args.q}; with --goal cause each shot depends on what the last one showed: leave --q out."
         )
     if args.method != "exact":
         raise InputDataError(
-            f"--method is {args.method!r}; --goal cause diagnoses with the exact likelihood: leave --method out."
+            f"--method is {args.method!r}; --goal {args.goal} learns with the exact likelihood: leave --method out."
         )
-    if args.hide is not None:
-        if not args.case:
-            raise InputDataError("--hide puts an effect into a simulated gel, and has no effect without --case.")
-        hidden(args)
+    for option, what in (("hide", "puts an effect into a simulated gel"), ("scatter", "is of simulated gels")):
+        if getattr(args, option) is not None and not args.case:
+            raise InputDataError(f"--{option} {what}, and has no effect without --case.")
+    hidden(args)
+    scatter(args)
     _effect_names(args)
+
+
+def scatter(args: argparse.Namespace) -> dict[str, float]:
+    """Standard deviation between simulated shots of the logarithm of each parameter."""
+    if args.scatter is None:
+        return {}
+    truth, found = reference_case(args.case).truth, {}
+    for part in args.scatter.split(","):
+        name, _, text = part.partition("=")
+        name = PARAMETERS[name.strip()].name
+        value = parse_number(text)
+        if value is None or not 0.0 <= value <= _LARGEST or name in found:
+            raise InputDataError(
+                f"--scatter is {args.scatter!r}; expected NAME=SD, each parameter once and SD from 0 to {_LARGEST:g}, as G=.2."
+            )
+        if truth.get(name, 0.0) <= 0.0:
+            raise InputDataError(
+                f"--scatter names {name}, which is zero in the gel of {args.case}; name one of {', '.join(truth)}."
+            )
+        found[name] = value
+    return found
+
+
+def parse_number(text: str) -> float | None:
+    """A finite number, or None."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
 
 
 def hidden(args: argparse.Namespace) -> dict[str, float]:
@@ -77,13 +129,13 @@ def hidden(args: argparse.Namespace) -> dict[str, float]:
     return values
 
 
-def one_model(prior: Belief, case: ReferenceCase | None) -> Belief:
-    """The base model of a campaign for a cause: that of the simulated gel, or the only one that is named."""
+def one_model(prior: Belief, case: ReferenceCase | None, goal: str) -> Belief:
+    """The one model of a campaign for a cause or about a population: that of the simulated gel, or the only one named."""
     if case:
         return Belief((prior[case.truth_model],), torch.zeros(1, dtype=torch.float64))
     if len(prior.models) > 1:
         raise InputDataError(
-            f"--models names {len(prior.models)} ({', '.join(prior.keys)}); with --goal cause name one, as nhkv."
+            f"--models names {len(prior.models)} ({', '.join(prior.keys)}); with --goal {goal} name one, as nhkv."
         )
     return prior
 

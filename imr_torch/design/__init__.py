@@ -10,6 +10,7 @@ from imr_torch.design.laplace import Laplace
 from imr_torch.design.nested import NestedMonteCarlo, PriorContrastive
 from imr_torch.design.optimizer import STRATEGIES, Cost, DesignOptimizer, Recommendation, Strategy
 from imr_torch.design.plan import PAPER_PLAN, Plan
+from imr_torch.design.population import PopulationInformation
 from imr_torch.design.published import PublishedEstimator
 from imr_torch.design.response import Shot
 from imr_torch.design.search import DesignSearch, SearchSettings, search_design
@@ -33,6 +34,7 @@ __all__ = [
     "Laplace",
     "NestedMonteCarlo",
     "Plan",
+    "PopulationInformation",
     "PriorContrastive",
     "PublishedEstimator",
     "Recommendation",

@@ -234,7 +234,7 @@ def drifts(fit: ModelFit, line: Linearisation, batch: ExperimentBatch) -> tuple[
         others = [row for other, row in rows.items() if other != name] if len(batch.experiments) >= _BESIDE else []
         for i, parameter in enumerate(fit.prior.names):
             beside = torch.cat([own[:i], own[i + 1 :], *others])
-            left = own[i] - torch.linalg.lstsq(beside.mT, own[i]).solution @ beside if len(beside) else own[i]
+            left = own[i] - torch.linalg.lstsq(beside.mT, own[i], driver="gelsd").solution @ beside if len(beside) else own[i]
             length = float(left.norm())
             if length > 1e-3:
                 z = float(left @ line.residual) / length

@@ -213,7 +213,7 @@ def _fitted_again(problem: Problem, found: WeighedPopulation) -> GaussianShots:
         x = (gels - mean) / unit
         basis = torch.cat((torch.ones_like(x[:, :1]), x, x[:, rows] * x[:, columns]), 1)
         values = shot.log_prob(gels)
-        solved = torch.linalg.lstsq(root[:, None] * basis, (root * values)[:, None]).solution[:, 0]
+        solved = torch.linalg.lstsq(root[:, None] * basis, (root * values)[:, None], driver="gelsd").solution[:, 0]
         curve = torch.zeros(size, size, dtype=torch.float64)
         curve[rows, columns] = -solved[1 + size :]
         eigen, vectors = torch.linalg.eigh(curve + curve.mT)

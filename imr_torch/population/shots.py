@@ -52,7 +52,7 @@ def fit_shots(
         One weighed assimilation per experiment, all with the same noise.
 
     Raises:
-        InputDataError: for fewer than two experiments, or two of one label.
+        InputDataError: without experiments, or for two of one label.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -69,8 +69,8 @@ def fit_shots(
     [7000.0, 9000.0]
     """
     labels = [experiment.label for experiment in experiments]
-    if len(labels) < 2 or len(set(labels)) < len(labels):
-        raise InputDataError(f"A population needs at least two shots of different names, got {len(labels)}: {labels}.")
+    if not labels or len(set(labels)) < len(labels):
+        raise InputDataError(f"Shots of different names are needed, got {len(labels)}: {labels}.")
     belief = Belief((prior,), torch.zeros(1, dtype=torch.float64))
     law, options = noise or Noise(), options or _OPTIONS
     current, fits = law, []

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from imr_torch.campaign import Campaign, Proposal
+from imr_torch.campaign import Campaign, PopulationLearner, Proposal
 from imr_torch.characterization import LEVELS, intervals, predictive_band
 from imr_torch.material import Belief
 from imr_torch.plot import information_map
@@ -49,6 +49,8 @@ def campaign_document(
         "history": [{"label": label, "belief": _without_cloud(step)} for label, step in history],
         "truth": truth,
         "findings": [{"step": s.number} | asdict(s.finding) for s in campaign.steps if s.finding],
+        "goal": "population" if isinstance(campaign.settings.learner, PopulationLearner) else "gel",
+        "population": campaign.steps[-1].population if campaign.steps else None,
         "proposals": [_proposal(campaign, proposal) for proposal in proposals],
         "stopped": stopped,
         "searches": _searches(campaign),

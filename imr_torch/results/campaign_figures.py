@@ -12,6 +12,7 @@ from imr_torch.labels import R_STAR, T_STAR, plain
 from imr_torch.material import Belief, material
 from imr_torch.plot import DATA, MODEL, draw_information, plot_parameter, plot_probabilities, with_lengths
 from imr_torch.results.named import NamedFigure, figure_of
+from imr_torch.results.population import population_named_figure
 
 _CAUSES, _LEAST_SHOWN = 6, 0.02  # causes that are drawn, and the probability that each must reach once
 _STEPS = 3  # beliefs beside the prior in the figure of a parameter
@@ -26,9 +27,11 @@ def campaign_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             "Line chart of the probabilities of the causes over the number of experiments.",
             lambda: causes_figure(document["findings"]),
         )
+    if document.get("population"):
+        yield population_named_figure(document["population"])
     history = [(step["label"], Belief.from_dict(step["belief"])) for step in document["history"]]
     best, truth = history[-1][1].best, document.get("truth") or {}
-    if len(history[-1][1].models) > 1 or not document.get("findings"):
+    if len(history[-1][1].models) > 1 or not (document.get("findings") or document.get("goal") == "population"):
         yield NamedFigure(
             "models",
             "Probability of each model before the first experiment and after each.",

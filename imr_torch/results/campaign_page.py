@@ -9,6 +9,7 @@ from imr_torch.html import Block, Table, page
 from imr_torch.material import PARAMETERS, material
 from imr_torch.results.campaign_figures import campaign_figures
 from imr_torch.results.page import footer, pictures_of, provenance_table, setting_rows
+from imr_torch.results.population import population_block
 
 _SHOWN = 0.01  # probability below which a cause is not listed
 
@@ -33,7 +34,10 @@ def campaign_page(document: Mapping[str, Any], *, title: str = "") -> str:
     pictures, failed = pictures_of(campaign_figures(document))
     blocks = [
         Block("The cause of the gap", (_causes(document),)) if document.get("findings") else None,
-        Block("The gel so far", (_gel(document),)),
+        Block("The gel so far" if document.get("goal") != "population" else "The median of the gels so far", (_gel(document),)),
+        Block("Does the gel differ from shot to shot?", population_block(document["population"]))
+        if document.get("population")
+        else None,
         Block("Shoot next", (_designs(document["proposals"]),)) if document["proposals"] else None,
         Block("What was assumed", (Table(tuple(_assumed(document))),)),
         Block("Figures", (*pictures, *failed)),
@@ -60,11 +64,17 @@ def headline(document: Mapping[str, Any]) -> str:
         return "No experiment was told yet; what follows is what was believed before."
     if found := document.get("findings"):
         return f"After {count} experiment(s): {cause_sentence(found[-1])}"
+    if found := document.get("population"):
+        return f"After {count} shots: {found['sentence']} Median: {_values(document, best)}."
     lost = f" ({document['forgotten']} more were forgotten)" if document["forgotten"] else ""
     probability = document["model_probabilities"][best]
     said = f"After {count} experiment(s){lost} {material(best).title} has a probability of {probability:.3f}"
-    values = "; ".join(f"{n} {PARAMETERS[n].interval(*v)}" for n, v in document["intervals"][best].items())
-    return f"{said}: {values}."
+    return f"{said}: {_values(document, best)}."
+
+
+def _values(document: Mapping[str, Any], model: str) -> str:
+    """Parameters of a model with their intervals."""
+    return "; ".join(f"{n} {PARAMETERS[n].interval(*v)}" for n, v in document["intervals"][model].items())
 
 
 def cause_sentence(found: Mapping[str, Any]) -> str:
@@ -142,13 +152,13 @@ def _experiments(document: Mapping[str, Any]) -> Table:
 def _models(document: Mapping[str, Any]) -> Table:
     rows = []
     for key, probability in sorted(document["model_probabilities"].items(), key=lambda item: -item[1]):
-        values = "; ".join(f"{n} {PARAMETERS[n].interval(*v)}" for n, v in document["intervals"][key].items())
-        rows.append((material(key).title, f"{probability:.3f}", values))
+        rows.append((material(key).title, f"{probability:.3f}", _values(document, key)))
     return Table(tuple(rows), ("model", "probability", "parameters"))
 
 
 def _assumed(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    return [("Experiments", f"{len(document['experiments'])} that count, of one gel"), *setting_rows(document, _best(document))]
+    whose = "each of a gel of its own" if document.get("goal") == "population" else "of one gel"
+    return [("Experiments", f"{len(document['experiments'])} that count, {whose}"), *setting_rows(document, _best(document))]
 
 
 def _next_step(document: Mapping[str, Any]) -> str:

@@ -34,7 +34,7 @@ from imr_torch.plot import (
 from imr_torch.results.campaign_figures import campaign_figures
 from imr_torch.results.collapse import collapse_figure
 from imr_torch.results.named import NamedFigure, figure_of
-from imr_torch.results.population import population_figure
+from imr_torch.results.population import population_named_figure
 from imr_torch.results.profile import profile_named_figures
 from imr_torch.results.whole import check_characterization
 
@@ -120,13 +120,7 @@ def _of_characterization(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
         )
     yield from profile_named_figures(document)
     if document.get("population"):
-        yield NamedFigure(
-            "population",
-            "Each shot alone (grey) and given all shots (blue), 90 % intervals; line and band: the median of all; dotted: "
-            "90 % of the shots to come.",
-            "Interval charts of every parameter by shot, beside the population's median.",
-            lambda: population_figure(document["population"]),
-        )
+        yield population_named_figure(document["population"])
     if len(belief.keys) > 1:
         beliefs = (("prior", prior), ("posterior", belief))
         yield NamedFigure(

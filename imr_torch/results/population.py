@@ -11,10 +11,26 @@ from imr_torch.html import Table
 from imr_torch.labels import plain, symbol, with_unit
 from imr_torch.material import PARAMETERS
 from imr_torch.plot import DATA, MODEL, PALE
+from imr_torch.results.named import NamedFigure
 
 _WIDE = 5.0  # ratio of the ends of an axis from which on it is logarithmic
 _SHOWN = 30.0  # nats
 _ROWS = 40  # shots with a label
+
+
+def population_named_figure(found: Mapping[str, Any]) -> NamedFigure:
+    """The figure of a population with its caption.
+
+    Args:
+        found: ``population`` of a result document.
+    """
+    return NamedFigure(
+        "population",
+        "Each shot alone (grey) and given all shots (blue), 90 % intervals; line and band: the median of all; dotted: "
+        "90 % of the shots to come.",
+        "Interval charts of every parameter by shot, beside the population's median.",
+        lambda: population_figure(found),
+    )
 
 
 def population_figure(found: Mapping[str, Any]) -> Figure:
@@ -54,6 +70,21 @@ def population_figure(found: Mapping[str, Any]) -> Figure:
     first.set_yticks(range(len(shots)), [plain(shot["id"], 24) for shot in shots], fontsize=8 if len(shots) <= _ROWS else 5)
     first.set_ylim(len(shots) - 0.5, -0.5)
     return figure
+
+
+def population_lines(found: Mapping[str, Any]) -> list[str]:
+    """The population as text: whether shots differ, then median and scatter of each parameter.
+
+    Args:
+        found: ``population`` of a result document.
+    """
+    lines = [f"{found['sentence']} Scatter of any parameter against none: {_nats(found['log_bayes_factor'])}."]
+    for name, entry in found["parameters"].items():
+        scatter = "the same in all shots"
+        if "scatter" in entry:
+            scatter = "scatter {1:.3f} ({0:.3f} to {2:.3f})".format(*entry["scatter"]) + f" of {entry['scatter_of']}"
+        lines.append(f"  {name}: median {PARAMETERS[name].interval(*entry['median'])}; {scatter}")
+    return [*lines, *(f"Caution: {text}" for text in found["cautions"])]
 
 
 def population_block(found: Mapping[str, Any]) -> tuple[str | Table, ...]:

@@ -298,11 +298,11 @@ def test_that_bad_settings_are_refused(change, text: str) -> None:
         infer_population(_fits(), **change)
 
 
-def test_that_one_shot_and_two_of_one_name_are_refused() -> None:
+def test_that_a_population_of_one_shot_no_shots_and_two_of_one_name_are_refused() -> None:
     experiments = shots(LinearSimulator(), (0.5, 0.5), 2)
-    with pytest.raises(InputDataError, match="at least two shots"):
-        fit_shots(PART, experiments[:1], LinearSimulator())
-    with pytest.raises(InputDataError, match="of different names"):
+    with pytest.raises(InputDataError, match="got 0"):
+        fit_shots(PART, [], LinearSimulator())
+    with pytest.raises(InputDataError, match="of different names are needed"):
         fit_shots(PART, [experiments[0], replace(experiments[1], label="e0")], LinearSimulator())
     with pytest.raises(InputDataError, match="at least two shots"):
         infer_population(_fits()[:1])

@@ -24,6 +24,12 @@ Why does the model not fit? Each shot is chosen to tell the remaining causes of 
   imr-torch campaign --goal cause --models nhkv --out hunt --stop cause=.9 --stop designs=8
   imr-torch campaign --goal cause --case stiff-pa --hide sound_speed --designs 5 --out practice   # with a simulated gel
 
+How much does the gel differ from shot to shot? Each shot is of a gel of its own; the next one is chosen for the median of all
+and the scatter between them:
+
+  imr-torch campaign --goal population --models nhkv --out gels --stop sd=.05
+  imr-torch campaign --goal population --case soft-pa --scatter G=.2 --designs 6 --out practice   # with simulated gels
+
 What to compare with, and when to end:
 
   imr-torch campaign --case soft-pa --designs 5 --policy random --stop sd=0.01,probability=0.99 --out baseline
@@ -47,15 +53,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the subcommand."""
     parser.add_argument(
         "--goal",
-        choices=("gel", "cause"),
+        choices=("gel", "cause", "population"),
         default="gel",
-        help="what shots are to tell: the gel's model and parameters (default), or which effect the one model lacks",
+        help="what shots are to tell: the gel's model and parameters (default), which effect the one model lacks, or median "
+        "and scatter of one model's parameters where the gel differs from shot to shot",
     )
     parser.add_argument("--effects", metavar="NAME,...", help="with --goal cause: effects that may be the cause (default: all)")
     parser.add_argument(
         "--hide",
         metavar="NAME[=VALUE]",
         help="with --goal cause and --case: the effect that the simulated gel has, of typical size if no value (SI) is given",
+    )
+    parser.add_argument(
+        "--scatter",
+        metavar="NAME=SD,...",
+        help="with --goal population and --case: standard deviation between shots of the logarithm of parameters, as G=.2",
     )
     parser.add_argument("--designs", type=int, default=2, help="experiments of a simulated campaign (default 2)")
     parser.add_argument(

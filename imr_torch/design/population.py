@@ -1,0 +1,143 @@
+"""Information about a population of gels: what one more shot tells of the median and of the scatter between shots.
+
+A shot shows a gel of its own, ``z ~ N(m, T)``, and is linearised about it with the Fisher information ``G = R^T R`` of its
+controls, nuisances marginalised. Its datum is then ``s = R z + e`` with ``e`` standard normal, and
+
+    I(m, T; s) = E [log N(s; R m, R T R^T + 1)] - E [log mean_j N(s; R c_j, R (V_j + T_j) R^T + 1)],
+
+where ``m`` given the scatter ``T_j`` is normal with mean ``c_j`` and covariance ``V_j``. Only ``G`` needs bubbles; the
+expectations are taken over draws that all designs share. Where the error of one shot is far below the scatter, all designs tell
+the same, and the gain says what another shot is worth.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from imr_torch.design.estimator import InformationEstimator, check_at_least
+from imr_torch.design.gain import InformationGain, Terms, summarise
+from imr_torch.design.likelihood import infer, observe
+from imr_torch.design.response import Shot, respond
+from imr_torch.errors import InputDataError
+from imr_torch.random import child, generator
+
+_ERROR = 1e-4  # standard error of a control that counts as none
+
+
+@dataclass(frozen=True)
+class PopulationInformation(InformationEstimator):
+    """Information about the median and the scatter of a population, for one constitutive model.
+
+    With several designs at once every shot has a gel of its own.
+
+    Args:
+        scatter: draws of the scatters, equally probable: standard deviations of the controls between shots.
+        centre: mean of the median's controls given each.
+        spread: Cholesky factors of its covariance given each.
+        draws: gels whose Fisher information is computed at each design.
+        data: data of each.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.design import Plan, PopulationInformation, expected_information_gain
+    >>> belief, design = wide_prior(["nhkv"]), torch.tensor([[400.0, 0.2]], dtype=torch.float64)
+    >>> prior = belief["nhkv"]
+    >>> def gain(scatter):
+    ...     known = torch.full((1, 2), scatter, dtype=torch.float64)
+    ...     estimator = PopulationInformation(known, prior.mean[None], prior.chol[None], draws=4)
+    ...     return expected_information_gain(belief, design, PolytropicSimulator(), Plan(), estimator=estimator, seed=0).value
+    >>> gain(0.0) > gain(0.3) > 0.0  # one shot tells less of the median where shots differ
+    True
+    """
+
+    scatter: Float[Tensor, "hyper controls"]
+    centre: Float[Tensor, "hyper controls"]
+    spread: Float[Tensor, "hyper controls controls"]
+    draws: int = 16
+    data: int = 256
+
+    def __post_init__(self) -> None:
+        check_at_least(self, 2, "draws", "data")
+
+    def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
+        """See :class:`~imr_torch.design.estimator.InformationEstimator`.
+
+        Raises:
+            InputDataError: for a belief in several models: the medians of two models are not the same quantity.
+        """
+        roots, order = self._roots(shot, generator)
+        values = torch.stack([self._of(root) for root in roots]) if len(roots) else torch.zeros(0, self.data).double()
+        gels = Terms(1.0, values.mean(1), torch.zeros(len(values), dtype=torch.float64), order)
+        by_datum = values.mean(0) if len(values) else torch.zeros(self.data, dtype=torch.float64)
+        shared = (by_datum - by_datum.mean()) / (self.data * (self.data - 1)) ** 0.5
+        return summarise([gels], shared=torch.stack((shared, torch.zeros_like(shared)), 1))
+
+    def limit(self) -> float:
+        """Gain of one shot that shows its gel without error, nats: no design can tell more."""
+        exact = torch.eye(self.scatter.shape[1], dtype=torch.float64)[None] / _ERROR
+        return float(self._of(exact).mean())
+
+    def _roots(self, shot: Shot, source: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Roots of the Fisher information, ``n x q x d x d``, at gels that could be simulated, and which those are first."""
+        if len(shot.belief.models) != 1:
+            raise InputDataError(
+                f"PopulationInformation is about the gels of one model, and the belief holds {len(shot.belief.models)} "
+                f"({', '.join(shot.belief.keys)}); name one."
+            )
+        part, q = shot.belief.models[0], len(shot.designs)
+        rows = torch.randint(len(self.scatter), (self.draws,), generator=source)
+        noise = torch.randn(2, self.draws, q, part.mean.shape[0], generator=source, dtype=torch.float64)
+        medians = self.centre[rows] + (self.spread[rows] @ noise[0, :, :1].mT)[..., 0]
+        gels = medians[:, None] + self.scatter[rows][:, None] * noise[1]
+        normals = []
+        for e in range(q):
+            one = replace(shot, designs=shot.designs[e : e + 1])
+            controls = torch.linalg.solve_triangular(part.chol, (gels[:, e] - part.mean).mT, upper=False).mT
+            seen = respond(one, part, controls)
+            good = seen.good
+            normal = torch.full((self.draws, *part.chol.shape), torch.nan, dtype=torch.float64)
+            chol = infer(observe(seen[good], shot.plan, source), seen[good], shot.plan).chol
+            normal[good] = chol @ chol.mT - torch.eye(chol.shape[-1], dtype=torch.float64)
+            normals.append(normal)
+        good = torch.isfinite(torch.stack(normals, 1)).flatten(1).all(1)
+        order = torch.cat((torch.nonzero(good)[:, 0], torch.nonzero(~good)[:, 0]))
+        eigen, vectors = torch.linalg.eigh(torch.stack(normals, 1)[good])
+        inverse = torch.linalg.solve_triangular(part.chol, torch.eye(len(part.chol), dtype=torch.float64), upper=False)
+        roots = vectors * eigen.clamp_min(0.0).sqrt()[..., None, :] @ vectors.mT  # of all roots the one that is continuous
+        return roots @ inverse, order
+
+    def _of(self, roots: Float[Tensor, "designs controls controls"]) -> Float[Tensor, "data"]:
+        """Gain from each of the data of shots with given Fisher information, one at each of ``q`` designs."""
+        q, d, _ = roots.shape
+        source = generator(child(0, "population data"))  # the same for every gel and design
+        rows = torch.arange(self.data) % len(self.scatter)
+        noise = torch.randn(1 + 2 * q, self.data, d, generator=source, dtype=torch.float64)
+        medians = self.centre[rows] + (self.spread[rows] @ noise[0, ..., None])[..., 0]
+        gels = medians + self.scatter[rows] * noise[1 : 1 + q]  # q x n x d
+        seen = ((roots[:, None] @ gels[..., None])[..., 0] + noise[1 + q :]).movedim(0, 1).flatten(1)
+        stacked = roots.flatten(0, 1)  # qd x d
+        own = self._covariances(roots)
+        known = _log_normal((seen - medians @ stacked.mT)[:, None], torch.linalg.cholesky(own)[rows])[:, 0]
+        spread = stacked @ self.spread
+        apart = seen - (self.centre @ stacked.mT)[:, None]  # hyper x n x qd
+        whole = _log_normal(apart, torch.linalg.cholesky(own + spread @ spread.mT))
+        return known - torch.logsumexp(whole, 0) + math.log(len(whole))
+
+    def _covariances(self, roots: Tensor) -> Float[Tensor, "hyper size size"]:
+        """Of the data about the median's, given each scatter: scatter of each shot, and its noise."""
+        (q, d, _), hyper = roots.shape, len(self.scatter)
+        moved = roots * self.scatter[:, None, None, :]
+        blocks = torch.zeros(hyper, q, d, q, d, dtype=torch.float64)
+        blocks[:, range(q), :, range(q)] = (moved @ moved.mT).movedim(1, 0)
+        return blocks.reshape(hyper, q * d, q * d) + torch.eye(q * d, dtype=torch.float64)
+
+
+def _log_normal(
+    values: Float[Tensor, "hyper data size"], chol: Float[Tensor, "hyper size size"]
+) -> Float[Tensor, "hyper data"]:
+    """Log density of values about zero, constants left out."""
+    white = torch.linalg.solve_triangular(chol, values.mT, upper=False)
+    return -0.5 * white.square().sum(-2) - chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)[:, None]
