@@ -39,7 +39,7 @@ from imr_torch.files import write_json
 
 WATCHED = ("journal", ".journal", "experiment_", ".experiment_", "campaign.json", ".campaign.json")
 OPTIONS = shlex.split("--models nhkv --policy space-filling --repeats 1 --physics polytropic --threads 1 --quiet")
-CAUSE = shlex.split("--goal cause --effects sound_speed,surface_tension")  # what a campaign for the cause of a gap adds
+GOALS = {"cause": shlex.split("--goal cause --effects sound_speed,surface_tension"), "population": ["--goal", "population"]}
 QUICK = SearchOptions(scouts=12, starts=2)
 EXAMPLE = example_gel()
 
@@ -332,14 +332,14 @@ def start() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=EXAMPLE)
     parser.add_argument("--experiments", default="shot_1,shot_2,shot_3")
-    parser.add_argument("--goal", choices=("gel", "cause"), default="gel", help="of the campaign (default gel)")
+    parser.add_argument("--goal", choices=("gel", *GOALS), default="gel", help="of the campaign (default gel)")
     parser.add_argument("--every", type=int, default=1, help="operations from one that is failed to the next, 0 for none")
     parser.add_argument("--random", type=int, default=40, help="attempts to interrupt at random times, of each kind")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         curves = split(args.data, args.experiments.split(","), Path(folder))
-        real = RealCampaign(Path(folder), curves, [*OPTIONS, *(CAUSE if args.goal == "cause" else [])])
+        real = RealCampaign(Path(folder), curves, [*OPTIONS, *GOALS.get(args.goal, [])])
         found = run(real, args.every, args.random, lambda text: print(text, flush=True))
     for name, tally in found.items():
         print(f"{name}: {tally.same} of {tally.tried} resumed to the same journal")

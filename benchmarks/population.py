@@ -3,18 +3,21 @@
   python benchmarks/population.py run --populations 300 --out population.jsonl
   python benchmarks/population.py table --out population.jsonl
   python benchmarks/population.py time --shots 20
+  python benchmarks/population.py campaigns --populations 20 --shots 4 --out campaigns.jsonl
 
 `run` simulates, with the polytropic simulator, populations of 4 to 10 shots of one curve each, at Weber numbers of 250 to 600,
 R_inf* of .18 to .28 and with uncertain Rmax, time zero and R_inf, and infers them with the noise as given. A third have their
 scatters drawn from the prior of the inference (coverage is then right if the inference is exact), a third have none (false
 alarms), and the others a scatter of .1, .2 or .4 in ln G and none in mu (power). Results are appended as JSON lines, so a run
 that was cut off continues. `time` takes that many shots of a simulated population with heat and vapour transport, noise
-estimated, on one thread.
+estimated, on one thread. `campaigns` runs simulated campaigns of that many shots about populations of given scatters (.2 in
+ln G and .1 in ln mu, or --scatter), each once with chosen and once with random designs, and compares what is known of median and scatter.
 """
 
 import argparse
 import json
 import math
+import tempfile
 import time
 import warnings
 from collections.abc import Iterator
@@ -26,6 +29,8 @@ import torch
 from imr_torch import PolytropicSimulator, TransportSimulator, wide_prior
 from imr_torch.assimilate import SearchOptions
 from imr_torch.calibration import coverage
+from imr_torch.campaign import Campaign, CampaignSettings, LearnPopulation, PopulationLearner, Random
+from imr_torch.design import Plan
 from imr_torch.errors import ImrError
 from imr_torch.material import PARAMETERS, Belief, LogNormal
 from imr_torch.observe import Experiment, Noise, Nuisance, SimulatedLaboratory
@@ -176,13 +181,61 @@ def clock(args: argparse.Namespace) -> None:
     print(f"wall {time.perf_counter() - wall:.1f} s")
 
 
+def campaigns(args: argparse.Namespace) -> None:
+    """Run simulated campaigns with chosen and with random designs, and compare them pair by pair."""
+    path, learner = Path(args.out), PopulationLearner()
+    policies = {"chosen": LearnPopulation(learner), "random": Random()}
+    done = {(row["number"], row["policy"]) for row in _rows(path)} if path.exists() else set()
+    with path.open("a", encoding="utf-8") as stream:
+        for number, (name, policy) in ((n, pair) for n in range(args.populations) for pair in policies.items()):
+            if (number, name) not in done:
+                settings = CampaignSettings(plan=Plan(repeats=1, noise=NOISE), policy=policy, learner=learner)
+                stream.write(json.dumps({"number": number, "policy": name} | _campaign(settings, args, number)) + "\n")
+                stream.flush()
+    rows = {(row["number"], row["policy"]): row for row in _rows(path)}
+    pairs = [(rows[n, "chosen"], rows[n, "random"]) for n in range(args.populations)]
+    print(f"{len(pairs)} populations, {args.shots} shots; chosen minus random, negative is better:")
+    for what in ("log_sd_median_G", "log_sd_median_mu", "log_width_scatter_G", "log_width_scatter_mu"):
+        differences = torch.tensor([a[what] - b[what] for a, b in pairs], dtype=torch.float64)
+        print(f"  {what}: {float(differences.mean()):+.3f} +- {float(differences.std()) / math.sqrt(len(pairs)):.3f}")
+    for name in policies:
+        some = [row for (_, policy), row in rows.items() if policy == name]
+        held = {key: sum(row["inside"][key] for row in some) for key in some[0]["inside"]}
+        print(f"  {name}: 90 % intervals hold, of {len(some)}: {held}")
+
+
+def _campaign(settings: CampaignSettings, args: argparse.Namespace, number: int) -> dict[str, Any]:
+    """What is known after the last shot of a campaign about one population."""
+    truth, scatter = {"G": 8e3, "mu": 0.09}, dict(zip(NAMES, args.scatter, strict=True))
+
+    def shoot(design: torch.Tensor, shot: int) -> Experiment:
+        source = generator(child(args.seed, "campaign", number, shot))
+        spread = {key: scatter[key] * float(torch.randn((), generator=source, dtype=torch.float64)) for key in NAMES}
+        gel = PARAMETERS.pack({key: value * math.exp(spread[key]) for key, value in truth.items()})
+        laboratory = SimulatedLaboratory(PolytropicSimulator(threads=1), gel, noise=NOISE, repeats=1)
+        return laboratory.shoot(design, seed=child(args.seed, "noise", number, shot))
+
+    prior = Belief((PRIOR,), torch.zeros(1, dtype=torch.float64))
+    with tempfile.TemporaryDirectory() as folder:
+        own = Campaign(folder, prior, PolytropicSimulator(threads=1), settings=settings, seed=number)
+        found = own.run(shoot, args.shots)[-1].population
+        designs = [experiment.design for experiment in own.experiments]
+    assert found is not None
+    row: dict[str, Any] = {"designs": designs, "verdict": found["verdict"], "inside": {}}
+    for name, value in truth.items():
+        (low, _, high), (least, _, most) = found["parameters"][name]["median"], found["parameters"][name]["scatter"]
+        row |= {f"log_sd_median_{name}": math.log(math.log(high / low)), f"log_width_scatter_{name}": math.log(most - least)}
+        row["inside"] |= {f"median {name}": low < value < high, f"scatter {name}": least < scatter[name] < most}
+    return row
+
+
 def main() -> None:
     """Parse and run."""
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
-    for name, function in (("run", run), ("table", table), ("time", clock)):
+    for name, function in (("run", run), ("table", table), ("time", clock), ("campaigns", campaigns)):
         command = commands.add_parser(name)
         command.set_defaults(function=function)
         command.add_argument("--out", default="population.jsonl")
@@ -190,6 +243,7 @@ def main() -> None:
         command.add_argument("--populations", type=int, default=300)
         command.add_argument("--first", type=int, default=0)
         command.add_argument("--shots", type=int, default=20)
+        command.add_argument("--scatter", type=float, nargs=2, default=(0.2, 0.1), help="of ln G and ln mu, of campaigns")
     args = parser.parse_args()
     args.function(args)
 

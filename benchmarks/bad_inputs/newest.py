@@ -62,7 +62,7 @@ def asked_of_fits() -> Iterator[Case]:
 
 
 def hunts() -> Iterator[Case]:
-    """Campaigns for a cause."""
+    """Campaigns for a cause or about a population."""
     base = ("campaign", "--goal=cause", "--out", "{here}/gel", *QUICK)
     for words, about in {
         (): "--models", ("--models=newtonian,nhkv",): "--models", ("--models=x",): "x", ("--models=nhkv", "--hide=density"): "--case",
@@ -74,6 +74,16 @@ def hunts() -> Iterator[Case]:
         ("--case=soft-pa", "--designs=0"): "--designs", ("--case=soft-pa", "--medium=water,density=1100:10"): "density",
     }.items():  # fmt: skip
         yield Case("new", f"campaign --goal=cause {' '.join(words)}", (*base, *words), about)
+    base = ("campaign", "--goal=population", "--out", "{here}/gel", *QUICK)
+    for words, about in {
+        (): "--models", ("--models=newtonian,nhkv",): "--models", ("--models=nhkv", "--scatter=G=.2"): "--case", ("--models=nhkv", "--hide=wall"): "--hide",
+        ("--models=nhkv", "--effects=wall"): "--effects", ("--models=nhkv", "--method=paper"): "--method", ("--models=nhkv", "--stop=cause=.9"): "cause",
+        ("--models=nhkv", "--q=0"): "q", ("--models=nhkv", "--resume"): "--resume", ("--models=nhkv", "--tell=none.csv"): "none.csv",
+        ("--case=soft-pa", "--scatter="): "--scatter", ("--case=soft-pa", "--scatter=G"): "--scatter", ("--case=soft-pa", "--scatter=G=x"): "--scatter",
+        ("--case=soft-pa", "--scatter=G=-.1"): "--scatter", ("--case=soft-pa", "--scatter=G=3"): "--scatter", ("--case=soft-pa", "--scatter=G=.1,G=.2"): "--scatter",
+        ("--case=soft-pa", "--scatter=x=.1"): "x", ("--case=soft-pa", "--scatter=alpha=.1"): "--scatter", ("--case=soft-pa", "--scatter=G=nan"): "--scatter",
+    }.items():  # fmt: skip
+        yield Case("new", f"campaign --goal=population {' '.join(words)}", (*base, *words), about)
     yield Case(
         "new", "--stop=cause for a gel", ("campaign", *MODELS, "--out", "{here}/gel", *QUICK, "--stop=cause=.9"), "cause"
     )

@@ -92,8 +92,8 @@ def scatter(args: argparse.Namespace) -> dict[str, float]:
     truth, found = reference_case(args.case).truth, {}
     for part in args.scatter.split(","):
         name, _, text = part.partition("=")
-        name = PARAMETERS[name.strip()].name
         value = parse_number(text)
+        name = PARAMETERS[name.strip()].name if value is not None else name
         if value is None or not 0.0 <= value <= _LARGEST or name in found:
             raise InputDataError(
                 f"--scatter is {args.scatter!r}; expected NAME=SD, each parameter once and SD from 0 to {_LARGEST:g}, as G=.2."

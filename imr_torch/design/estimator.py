@@ -1,6 +1,7 @@
 """What an estimator of the information gain is: a callable object, so that one of your own needs no change of the package.
 
-Six estimators come with the package. They agree for many samples; what differs is how many that takes.
+Six estimators of the information about one gel come with the package (and one about a population of gels:
+:class:`~imr_torch.design.population.PopulationInformation`). They agree for many samples; what differs is how many that takes.
 
 | estimator | evidence of each datum | expected value |
 |---|---|---|

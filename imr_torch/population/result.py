@@ -316,7 +316,7 @@ class Population:
 def scatter_of(prior: ModelBelief, name: str) -> str:
     """What the scatter of a parameter is the standard deviation of."""
     marginal = prior.marginals[prior.names.index(name)]
-    return f"ln {name}" if isinstance(marginal, LogNormal) else f"the control of {name} (its prior has 1)"
+    return f"ln {name}" if isinstance(marginal, LogNormal) else f"{name} in standard deviations of its prior"
 
 
 def scatter_words(prior: ModelBelief, name: str, interval: Interval) -> str:

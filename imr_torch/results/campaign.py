@@ -35,6 +35,7 @@ def campaign_document(
     'prior'
     """
     belief, noise = campaign.belief, campaign.plan.noise
+    population = campaign.steps[-1].population if campaign.steps else None
     history = [("prior", campaign.prior), *((f"after {step.number}", step.belief) for step in campaign.steps)]
     return {
         "designs": [list(e.design) for e in campaign.experiments],
@@ -43,19 +44,24 @@ def campaign_document(
         "forgotten": len(campaign.forgotten),
         "relative_error": {},
         "model_probabilities": belief.probabilities,
-        "intervals": {part.model: intervals(part) for part in belief.models},
+        "intervals": {part.model: intervals(part) if population is None else _medians(population) for part in belief.models},
         "noise": vars(noise),
         "belief": belief.to_dict(),
         "history": [{"label": label, "belief": _without_cloud(step)} for label, step in history],
         "truth": truth,
         "findings": [{"step": s.number} | asdict(s.finding) for s in campaign.steps if s.finding],
         "goal": "population" if isinstance(campaign.settings.learner, PopulationLearner) else "gel",
-        "population": campaign.steps[-1].population if campaign.steps else None,
+        "population": population,
         "proposals": [_proposal(campaign, proposal) for proposal in proposals],
         "stopped": stopped,
         "searches": _searches(campaign),
         "curves": _curves(campaign),
     }
+
+
+def _medians(population: dict[str, Any]) -> dict[str, list[float]]:
+    """Intervals of the medians of a population."""
+    return {name: entry["median"] for name, entry in population["parameters"].items()}
 
 
 def _without_cloud(belief: Belief) -> dict[str, Any]:
