@@ -11,7 +11,8 @@ scatters drawn from the prior of the inference (coverage is then right if the in
 alarms), and the others a scatter of .1, .2 or .4 in ln G and none in mu (power). Results are appended as JSON lines, so a run
 that was cut off continues. `time` takes that many shots of a simulated population with heat and vapour transport, noise
 estimated, on one thread. `campaigns` runs simulated campaigns of that many shots about populations of given scatters (.2 in
-ln G and .1 in ln mu, or --scatter), each once with chosen and once with random designs, and compares what is known of median and scatter.
+ln G and .1 in ln mu, or --scatter), each once with chosen and once with random designs, and compares what is known of median
+and scatter.
 """
 
 import argparse
