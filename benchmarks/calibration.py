@@ -33,13 +33,15 @@ from imr_torch.calibration import (
     uniformity,
 )
 from imr_torch.design import DesignSpace, Laplace, Plan, expected_information_gain
-from imr_torch.material import reference_case
+from imr_torch.material import reference_case, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
 from imr_torch.plot import plot_places, plot_reliability
 from imr_torch.random import child
 from imr_torch.simulate import PolytropicSimulator, Simulator, TransportSimulator
 
-DESIGNS = {"stiff-pa": (900.0, 0.28), "soft-pa": (400.0, 0.22)}
+DESIGNS = {"stiff-pa": (900.0, 0.28), "soft-pa": (400.0, 0.22), "wide": (400.0, 0.22)}
+WIDE = "wide"
+"""Case with the prior that measured curves get when none is stated, of the same two models."""
 SIMULATORS = {"polytropic": PolytropicSimulator, "full": TransportSimulator}
 UNCERTAIN = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)
 PIXELS = Noise(scale=0.2, floor=0.015)  # .003 in R* everywhere
@@ -118,7 +120,8 @@ class Job:
         """What is calibrated."""
         kind = VARIANTS[self.variant]
         learn, rounds = kind.learn, NOISE_ROUNDS if kind.estimated else 0
-        prior, how = reference_case(self.case).prior, kind.options
+        how = kind.options
+        prior = wide_prior(["nhkv", "gen_qkv"]) if self.case == WIDE else reference_case(self.case).prior
         whole = Arrangement(prior, (self.design,), self.plan, options=how, learn=learn, noise_rounds=rounds)
         return replace(whole, samples=kind.samples) if kind.samples else whole
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import torch
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
@@ -68,10 +69,10 @@ def _scaled(factor: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
 
 def plot_experiment(
     experiment: Experiment,
-    band: tuple[Tensor, Tensor, Tensor] | None = None,
+    band: tuple[Float[Tensor, "dense"], Float[Tensor, "dense"], Float[Tensor, "dense"]] | None = None,
     *,
     ax: Axes | None = None,
-    times: Tensor | None = None,
+    times: Float[Tensor, "dense"] | None = None,
     surroundings: Surroundings | None = None,
 ) -> Axes:
     """Measured curves of one experiment and, if given, the 5, 50 and 95 % posterior predictive quantiles (``n_t`` each).

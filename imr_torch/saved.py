@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation
@@ -35,8 +36,8 @@ class WeighedDraws:
     """
 
     names: tuple[str, ...]
-    values: Tensor
-    weights: Tensor
+    values: Float[Tensor, "draws controls"]
+    weights: Float[Tensor, "draws"]
     weighed: bool
 
 

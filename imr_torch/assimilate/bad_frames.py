@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
@@ -136,12 +137,14 @@ class JointGaussian:
         slopes: ``N x d`` tensor, sensitivities to the whitened gel.
     """
 
-    precision: Tensor
-    pull: Tensor
-    extra: Tensor
-    slopes: Tensor
+    precision: Float[Tensor, "kept kept"]
+    pull: Float[Tensor, "kept"]
+    extra: Float[Tensor, "kept"]
+    slopes: Float[Tensor, "kept controls"]
 
-    def with_bad(self, bad: Tensor, factor: float = 1.0, *, extra: Tensor | None = None) -> "JointGaussian":
+    def with_bad(
+        self, bad: Bool[Tensor, "kept"], factor: float = 1.0, *, extra: Float[Tensor, "kept"] | None = None
+    ) -> "JointGaussian":
         """With the extra error (variances ``N``; that of a bad frame by default), times a factor, of some frames (booleans)."""
         at = torch.nonzero(bad)[:, 0]
         columns = self.precision[:, at]
@@ -151,13 +154,13 @@ class JointGaussian:
         return JointGaussian(self.precision - columns @ solved[:, :-1], pull, self.extra, self.slopes)
 
     @property
-    def deletion(self) -> tuple[Tensor, Tensor]:
+    def deletion(self) -> tuple[Float[Tensor, "kept"], Float[Tensor, "kept"]]:
         """Each frame less what all others predict, and the variance of that: two ``N`` tensors."""
         variance = 1.0 / self.precision.diagonal()
         return self.pull * variance, variance
 
     @property
-    def gel(self) -> tuple[Tensor, Tensor]:
+    def gel(self) -> tuple[Float[Tensor, "controls"], Float[Tensor, "controls controls"]]:
         """Posterior mean ``d`` and covariance ``d x d`` of the whitened gel."""
         eye = torch.eye(self.slopes.shape[1], dtype=torch.float64)
         return self.slopes.mT @ self.pull, eye - self.slopes.mT @ self.precision @ self.slopes
@@ -235,7 +238,12 @@ def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator)
     return BadFrames(fit.model, tuple(frames), without)
 
 
-def joint_gaussian(fit: ModelFit, batch: ExperimentBatch, centre: Tensor, slopes: tuple[Tensor, Tensor]) -> JointGaussian:
+def joint_gaussian(
+    fit: ModelFit,
+    batch: ExperimentBatch,
+    centre: Float[Tensor, "experiments frames"],
+    slopes: tuple[Float[Tensor, "experiments frames controls"], Float[Tensor, "experiments frames nuisances"]],
+) -> JointGaussian:
     """The joint Gaussian of all frames, linearised about a fit."""
     by_gel, by_nuisance = slopes
     count, frames = len(batch.experiments), batch.mask

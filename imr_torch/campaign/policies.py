@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import torch
 from botorch.utils.sampling import draw_sobol_samples
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.design import (
@@ -66,7 +67,7 @@ class Situation:
     space: DesignSpace
     plan: Plan
     seed: int
-    pending: Tensor | None = None
+    pending: Float[Tensor, "pending 2"] | None = None
     prior: Belief | None = None
     batch: ExperimentBatch | None = None
 
@@ -91,7 +92,7 @@ class Proposal:
     """
 
     step: int
-    design: Tensor
+    design: Float[Tensor, "2"]
     gain: float | None = None
     gain_sd: float | None = None
     search: DesignSearch | None = None

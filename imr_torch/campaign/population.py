@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.campaign.journal import curve_hash
@@ -122,7 +123,7 @@ class PopulationLearner:
             _MADE[key] = _Learnt(shots, population, median, noise)
         return _MADE[key]
 
-    def scales(self, prior: ModelBelief) -> Tensor:
+    def scales(self, prior: ModelBelief) -> Float[Tensor, "controls"]:
         """``d`` tensor, scale of the prior of each control's scatter."""
         return self.scale / coordinate_units(prior)
 
@@ -182,7 +183,9 @@ class LearnPopulation:
         return self.search.rebuild(record, space, seed)
 
 
-def information_about(shots: tuple[ShotLikelihood, ...], prior: ModelBelief, scales: Tensor) -> PopulationInformation:
+def information_about(
+    shots: tuple[ShotLikelihood, ...], prior: ModelBelief, scales: Float[Tensor, "controls"]
+) -> PopulationInformation:
     """The information about a population after some shots, by the Gaussian parts of their likelihoods.
 
     Args:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -32,10 +33,10 @@ class Adequacy:
     test: GapTest
     starts: dict[str, tuple[tuple[float, ...], ...]]
     line: Linearisation
-    directions: dict[str, Tensor]
+    directions: dict[str, Float[Tensor, "_ rows"]]
     effects: tuple[Effect, ...] = ()
-    beside: dict[str, Tensor] = field(default_factory=dict)
-    generic: dict[str, Tensor] = field(default_factory=dict)
+    beside: dict[str, Float[Tensor, "_ rows"]] = field(default_factory=dict)
+    generic: dict[str, Float[Tensor, "_ rows"]] = field(default_factory=dict)
 
     def likeness(self, size: float, *, seed: int) -> Likeness:
         """What an unknown effect would look like here, of which a known one explains ``size`` standard deviations."""

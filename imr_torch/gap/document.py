@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.dense import dense_curve
@@ -35,6 +36,7 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         simulator: makes the bubbles of densely drawn curves; without it they are drawn at the frames.
 
     >>> import torch
+    from jaxtyping import Float
     >>> from imr_torch import PolytropicSimulator
     >>> from imr_torch.gap import diagnose, to_json
     >>> from imr_torch.material import PARAMETERS, library
@@ -158,7 +160,9 @@ def _rung(rung: Rung) -> dict[str, Any]:
     }
 
 
-def dense_curves(report: GapReport, simulator: Simulator) -> dict[str, tuple[Tensor, Tensor]]:
+def dense_curves(
+    report: GapReport, simulator: Simulator
+) -> dict[str, tuple[Float[Tensor, "experiments dense"], Float[Tensor, "experiments dense"]]]:
     """Curves of the base model and of the model with the cause, if one is named: by name, t* and R*, ``E x D`` tensors.
 
     Args:

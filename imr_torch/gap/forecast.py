@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -85,10 +86,10 @@ class Unknown:
     leader: str
     fit: ModelFit
     changes: tuple[dict[str, float], ...]
-    shifts: Tensor
-    weights: Tensor
+    shifts: Float[Tensor, "references controls"]
+    weights: Float[Tensor, "references"]
 
-    def signals(self, shot: Shot) -> tuple[Tensor, "Unknown"]:
+    def signals(self, shot: Shot) -> tuple[Float[Tensor, "kept experiments frames"], "Unknown"]:
         """``K x q x T`` changes of the curves at a shot, and the references whose bubbles could be simulated.
 
         Raises:
@@ -168,7 +169,7 @@ class Forecast:
 def forecast(
     causes: Mapping[str, float],
     fits: Mapping[str, ModelFit],
-    design: Tensor,
+    design: Float[Tensor, "2"],
     simulator: Simulator,
     plan: Plan,
     *,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, assimilate
@@ -57,7 +58,7 @@ class Hypothesis:
         """The prior of base and effects together."""
         return beside(self.base, {name: prior for effect in self.effects for name, prior in effect.priors.items()})
 
-    def starts(self, null: ModelFit, of_last: Sequence[Sequence[float]] | None = None) -> Tensor:
+    def starts(self, null: ModelFit, of_last: Sequence[Sequence[float]] | None = None) -> Float[Tensor, "starts controls"]:
         """``S x d`` controls ``v``: those of a fit without the last effect, and that at each of some values.
 
         Args:

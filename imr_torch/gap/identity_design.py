@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -50,14 +51,14 @@ class NextDesign:
         by_cause: cause -> its expected probability after the shot, where it is the truth.
     """
 
-    design: Tensor
+    design: Float[Tensor, "2"]
     gain: float
     error: float
     entropy: float
     causes: dict[str, float]
-    grid: Tensor
-    gains: Tensor
-    errors: Tensor
+    grid: Float[Tensor, "evaluated 2"]
+    gains: Float[Tensor, "evaluated"]
+    errors: Float[Tensor, "evaluated"]
     plan: Plan = field(default_factory=Plan)
     now: float = math.nan
     after: float = math.nan

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -42,9 +43,9 @@ class LatentPressure:
         caveat: what the result does not say.
     """
 
-    times: Tensor
-    mean: Tensor
-    sd: Tensor
+    times: Float[Tensor, "knots"]
+    mean: Float[Tensor, "knots"]
+    sd: Float[Tensor, "knots"]
     size: float
     length: float
     log_bayes: float
@@ -82,7 +83,7 @@ def latent_pressure(
     return LatentPressure(times, mean, covariance.diagonal().clamp_min(0.0).sqrt(), size, length, max(evidence, 0.0))
 
 
-def matern(times: Tensor, length: float) -> Tensor:
+def matern(times: Float[Tensor, "knots"], length: float) -> Float[Tensor, "knots knots"]:
     """Cholesky factor of the Matern-3/2 correlation at times (``K`` tensor) for a correlation time: ``K x K``."""
     gap = math.sqrt(3.0) * (times[:, None] - times).abs() / length
     eye = torch.eye(len(times), dtype=times.dtype)

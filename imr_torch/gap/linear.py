@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, Posterior
-from imr_torch.material import PARAMETERS
+from imr_torch.assimilate import ModelFit, Point, Posterior
+from imr_torch.material import PARAMETERS, ModelBelief
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
 
@@ -30,40 +31,42 @@ class Linearisation:
         batch: the data.
     """
 
-    residual: Tensor
-    fitted: Tensor
-    prediction: Tensor
-    sd: Tensor
+    residual: Float[Tensor, "rows"]
+    fitted: Float[Tensor, "rows fitted"]
+    prediction: Float[Tensor, "experiments frames"]
+    sd: Float[Tensor, "experiments frames"]
     batch: ExperimentBatch
 
     @cached_property
-    def basis(self) -> Tensor:
+    def basis(self) -> Float[Tensor, "rows fitted"]:
         """``N x k`` orthonormal basis of the fitted directions."""
         return torch.linalg.qr(self.fitted).Q
 
     @cached_property
-    def to_shift(self) -> Tensor:
+    def to_shift(self) -> Float[Tensor, "fitted rows"]:
         """``k x N`` matrix that makes, from a residual, the shift of everything fitted in a linear refit to it."""
         q, r = torch.linalg.qr(self.fitted)
         return torch.linalg.solve_triangular(r, q.mT, upper=True)
 
-    def explained(self, shift: Tensor) -> Tensor:
+    def explained(self, shift: Float[Tensor, "*batch fitted"]) -> Float[Tensor, "*batch rows"]:
         """What shifts ``... x k`` of everything fitted change in the data, to first order: rows ``... x N``."""
         rows = shift @ self.fitted.mT
         rows[..., self.fitted.shape[0] - self.fitted.shape[1] :] = 0.0
         return rows
 
-    def whiten(self, curves: Tensor) -> Tensor:
+    def whiten(self, curves: Float[Tensor, "*batch experiments frames"]) -> Float[Tensor, "*batch rows"]:
         """Curves ``... x E x T`` in R* as rows ``... x N``, with zeros for the priors."""
         rows = self.batch.whiten(torch.where(self.batch.mask, curves, 0.0), self.sd).flatten(-2)
         return torch.nn.functional.pad(rows, (0, self.residual.shape[0] - rows.shape[-1]))
 
-    def project(self, rows: Tensor) -> Tensor:
+    def project(self, rows: Float[Tensor, "*batch rows"]) -> Float[Tensor, "*batch rows"]:
         """What is left of rows ``... x N`` beside the fitted directions."""
         return rows - (rows @ self.basis) @ self.basis.mT
 
 
-def shifted(fit: ModelFit, batch: ExperimentBatch, shift: Tensor) -> tuple[Tensor, Tensor]:
+def shifted(
+    fit: ModelFit, batch: ExperimentBatch, shift: Float[Tensor, "moved fitted"]
+) -> tuple[Float[Tensor, "moved controls"], Float[Tensor, "moved experiments nuisances"]]:
     """Controls ``K x d`` and nuisances ``K x E x 3`` of a fit after shifts ``K x k``, in the order of the fitted directions."""
     free = (batch.nuisance_sds > 0.0).any(0)
     size, experiments = len(fit.mean), len(batch.experiments)
@@ -77,8 +80,8 @@ def curves(
     batch: ExperimentBatch,
     simulator: Simulator,
     changes: Sequence[dict[str, float]],
-    shift: Tensor | None = None,
-) -> Tensor:
+    shift: Float[Tensor, "moved fitted"] | None = None,
+) -> Float[Tensor, "moved experiments frames"]:
     """Predictions at the fit with parameters changed, one row a change: ``K x E x T``; NaN where a solve failed.
 
     Args:
@@ -102,13 +105,25 @@ def curves(
 
 def linearise(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
     """Local sensitivities at a fit, by finite differences of bubbles that take the same solver steps."""
-    posterior = Posterior(fit.prior, batch, simulator)
-    near = posterior.neighbourhood(fit.point)
+    return linearise_at(fit.point, fit.prior, batch, simulator)
+
+
+def linearise_at(point: Point, prior: ModelBelief, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
+    """Local sensitivities at any point, as at a fit.
+
+    Args:
+        point: gel and nuisances, whitened.
+        prior: of the gel.
+        batch: the data, with as many experiments as the point.
+        simulator: makes the bubbles.
+    """
+    posterior = Posterior(prior, batch, simulator)
+    near = posterior.neighbourhood(point)
     columns, experiments, sd = posterior.uncertain, len(batch.experiments), batch.sd(near.centre)
     by_gel, by_nuisance = (batch.whiten(x.movedim(-1, 0), sd).nan_to_num() for x in near.slopes)  # ... x E x T each
     own = torch.eye(experiments, dtype=torch.float64)[:, :, None] * by_nuisance[columns][:, None]  # C x E x E x T
     data = torch.cat((by_gel.flatten(1).mT, own.flatten(0, 1).flatten(1).mT), 1)
     fitted = torch.cat((data, -torch.eye(data.shape[1], dtype=torch.float64)))
-    priors = torch.cat((fit.mean, fit.nuisances[:, columns].mT.flatten()))
+    priors = torch.cat((point.gel, point.nuisances[:, columns].mT.flatten()))
     residual = torch.cat((batch.whiten(batch.mean - near.centre, sd).flatten(), priors))
     return Linearisation(residual, fitted, near.centre, sd, batch)

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -58,7 +59,9 @@ class Onset:
         )
 
 
-def generic_directions(fit: ModelFit, line: Linearisation, batch: ExperimentBatch, simulator: Simulator) -> dict[str, Tensor]:
+def generic_directions(
+    fit: ModelFit, line: Linearisation, batch: ExperimentBatch, simulator: Simulator
+) -> dict[str, Float[Tensor, "_ rows"]]:
     """Directions that stand for no effect in particular: a pressure pulse at each of several times, and output shapes.
 
     Returns:
@@ -159,9 +162,9 @@ class ByExperiment:
     labels: tuple[str, ...]
     p_values: tuple[float, ...]
     names: tuple[str, ...]
-    values: Tensor
-    low: Tensor
-    high: Tensor
+    values: Float[Tensor, "experiments controls"]
+    low: Float[Tensor, "experiments controls"]
+    high: Float[Tensor, "experiments controls"]
     trends: tuple[Trend, ...]
     reading: str
 
@@ -267,7 +270,7 @@ def _read(trends: tuple[Trend, ...], level: float, experiments: int) -> str:
     return "No fitted parameter drifts over the designs: the cause, if any, is alike in all, as errors of measurement are."
 
 
-def frames_between(batch: ExperimentBatch, start: float, end: float) -> Tensor:
+def frames_between(batch: ExperimentBatch, start: float, end: float) -> Bool[Tensor, "experiments frames"]:
     """``E x T`` boolean tensor: frames with ``start <= t* < end``.
 
     Raises:

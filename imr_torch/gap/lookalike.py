@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.gap.linear import Linearisation
@@ -51,8 +52,8 @@ class Likeness:
     """
 
     size: float
-    log_p: Tensor
-    weights: Tensor
+    log_p: Float[Tensor, "directions noises"]
+    weights: Float[Tensor, "directions"]
     nearest: dict[str, tuple[str, float]]
 
     @property
@@ -98,7 +99,7 @@ class _Coordinates:
     beyond: int
 
 
-def angles(rows: Mapping[str, Tensor], line: Linearisation) -> dict[str, dict[str, float]]:
+def angles(rows: Mapping[str, Float[Tensor, "_ rows"]], line: Linearisation) -> dict[str, dict[str, float]]:
     """Smallest angle in degrees between the directions of every two effects, beside all that was fitted.
 
     Args:
@@ -114,7 +115,7 @@ def angles(rows: Mapping[str, Tensor], line: Linearisation) -> dict[str, dict[st
 
 
 def look_alikes(
-    signal: Tensor, rows: Mapping[str, Tensor], line: Linearisation, *, farthest: float = LIKE
+    signal: Float[Tensor, "rows"], rows: Mapping[str, Float[Tensor, "_ rows"]], line: Linearisation, *, farthest: float = LIKE
 ) -> dict[str, tuple[float, float]]:
     """Effects that would look like one that was fitted: name -> angle in degrees, and what they leave of it in sd.
 
@@ -139,8 +140,8 @@ def look_alikes(
 
 def likeness(
     size: float,
-    rows: Mapping[str, Tensor],
-    generic: Mapping[str, Tensor],
+    rows: Mapping[str, Float[Tensor, "_ rows"]],
+    generic: Mapping[str, Float[Tensor, "_ rows"]],
     effects: Sequence[Effect],
     line: Linearisation,
     *,

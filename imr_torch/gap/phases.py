@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Bool, Float, Int
 from scipy.stats import chi2
 from torch import Tensor
 
@@ -22,7 +23,11 @@ _RAYLEIGH = 0.915  # collapse time of an empty bubble, Rmax sqrt(rho/p)
 _QUIET = 1e-3  # chance of so small a sum of squares under the law, below which the law says too much
 
 
-def phase_clock(times: Tensor, prediction: Tensor, mask: Tensor) -> Tensor:
+def phase_clock(
+    times: Float[Tensor, "experiments frames"],
+    prediction: Float[Tensor, "experiments frames"],
+    mask: Bool[Tensor, "experiments frames"],
+) -> Float[Tensor, "experiments frames"]:
     """How far the event has come at each frame: 0 at the start, 1 at the first collapse, 1.5 at the rebound's top, 2 ...
 
     Args:
@@ -55,13 +60,17 @@ def phase_name(clock: float) -> str:
     return PHASES[sum(clock > end + 1e-9 for end in _ENDS)]
 
 
-def phase_numbers(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
+def phase_numbers(
+    times: Float[Tensor, "experiments frames"],
+    radius: Float[Tensor, "experiments frames"],
+    mask: Bool[Tensor, "experiments frames"],
+) -> Int[Tensor, "experiments frames"]:
     """Number of the phase of each frame in ``PHASES``: ``E x T`` integer tensor; arguments as of :func:`phase_clock`."""
     ends = torch.tensor(_ENDS, dtype=torch.float64) + 1e-9
     return torch.searchsorted(ends, phase_clock(times, radius, mask).contiguous())
 
 
-def noise_shares(squares: Sequence[Tensor], phase: Tensor) -> Tensor:
+def noise_shares(squares: Sequence[Float[Tensor, "*frames"]], phase: Int[Tensor, "*frames"]) -> Float[Tensor, "*frames"]:
     """How much of the law's variance counts in each frame, 1 or less: what residuals leave room for in its phase.
 
     It is less than 1 only where the sum of squares of a phase has a chance below .001 under the law, under the hypothesis

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import matplotlib.pyplot as plt
 import torch
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from torch import Tensor
 
@@ -44,7 +45,7 @@ def _strength(p_value: float) -> float:
     return -math.log10(max(p_value, 10.0**-_SMALLEST))
 
 
-def phase_rms(fit: ModelFit, batch: ExperimentBatch) -> Tensor:
+def phase_rms(fit: ModelFit, batch: ExperimentBatch) -> Float[Tensor, "experiments phases"]:
     """Root mean square residual of the mean curves by experiment and phase, over its noise: ``E x len(PHASES)``, NaN if empty.
 
     1 is what noise alone leaves.
@@ -166,11 +167,11 @@ def plot_causes(posterior: dict[str, float], *, ax: Axes | None = None) -> Axes:
 def plot_curves(
     batch: ExperimentBatch,
     number: int,
-    base: Tensor,
-    after: Tensor | None = None,
+    base: Float[Tensor, "experiments frames"],
+    after: Float[Tensor, "experiments frames"] | None = None,
     *,
     ax: Axes | None = None,
-    dense: Mapping[str, tuple[Tensor, Tensor]] | None = None,
+    dense: Mapping[str, tuple[Float[Tensor, "experiments dense"], Float[Tensor, "experiments dense"]]] | None = None,
 ) -> Axes:
     """Mean measured curve of one experiment, the base model, and the model with the cause.
 
@@ -199,7 +200,12 @@ def plot_curves(
 
 
 def plot_residuals(
-    batch: ExperimentBatch, number: int, base: Tensor, after: Tensor | None = None, *, ax: Axes | None = None
+    batch: ExperimentBatch,
+    number: int,
+    base: Float[Tensor, "experiments frames"],
+    after: Float[Tensor, "experiments frames"] | None = None,
+    *,
+    ax: Axes | None = None,
 ) -> Axes:
     """Residuals of the mean curve of one experiment over the noise of that mean, with the base model and with the cause."""
     ax = _axes(ax, (5.2, 2.2))

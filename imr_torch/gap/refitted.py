@@ -10,6 +10,7 @@ deviations (a strong stiffening) still leaves several times what a real refit do
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -28,8 +29,8 @@ def refitted_directions(
     batch: ExperimentBatch,
     simulator: Simulator,
     line: Linearisation,
-    directions: dict[str, Tensor],
-) -> dict[str, Tensor]:
+    directions: dict[str, Float[Tensor, "_ rows"]],
+) -> dict[str, Float[Tensor, "_ rows"]]:
     """Directions whose part beside the fitted ones is what a refit leaves of each effect.
 
     Args:

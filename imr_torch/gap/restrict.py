@@ -11,11 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
+from jaxtyping import Bool, Float
 from scipy.stats import chi2
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit
-from imr_torch.gap.linear import Linearisation, linearise, shifted
+from imr_torch.assimilate import ModelFit, Point
+from imr_torch.gap.linear import Linearisation, linearise_at, shifted
 from imr_torch.gap.score import block
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import SeedLike, generator
@@ -25,13 +26,13 @@ BOOTSTRAP = 2000
 """Residuals drawn under the fitted model for a calibration."""
 
 
-def kept_rows(line: Linearisation, frames: Tensor) -> Tensor:
+def kept_rows(line: Linearisation, frames: Bool[Tensor, "experiments frames"]) -> Bool[Tensor, "rows"]:
     """Which whitened rows (``N`` boolean tensor) belong to frames (``E x T`` boolean tensor); those of priors always do."""
     rows = (frames & line.batch.mask).flatten()
     return torch.nn.functional.pad(rows, (0, line.residual.shape[0] - rows.shape[0]), value=True)
 
 
-def restrict(line: Linearisation, frames: Tensor) -> Linearisation:
+def restrict(line: Linearisation, frames: Bool[Tensor, "experiments frames"]) -> Linearisation:
     """The same sensitivities with the rows of all other frames set to zero.
 
     Args:
@@ -43,7 +44,7 @@ def restrict(line: Linearisation, frames: Tensor) -> Linearisation:
     return replace(line, residual=line.residual * keep, fitted=line.fitted * keep[:, None])
 
 
-def refit(line: Linearisation) -> tuple[Tensor, Tensor]:
+def refit(line: Linearisation) -> tuple[Float[Tensor, "fitted"], Float[Tensor, "fitted rows"]]:
     """The linear refit to the rows of a linearisation.
 
     Returns:
@@ -53,7 +54,9 @@ def refit(line: Linearisation) -> tuple[Tensor, Tensor]:
     return line.to_shift @ line.residual, line.to_shift
 
 
-def moved(fit: ModelFit, line: Linearisation, shift: Tensor, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
+def moved(
+    fit: ModelFit, line: Linearisation, shift: Float[Tensor, "fitted"], batch: ExperimentBatch, simulator: Simulator
+) -> Linearisation:
     """Local sensitivities at the point that a linear refit leads to.
 
     Args:
@@ -64,16 +67,21 @@ def moved(fit: ModelFit, line: Linearisation, shift: Tensor, batch: ExperimentBa
         simulator: makes the bubbles.
     """
     mean, nuisances = shifted(fit, batch, shift[None])
-    new = linearise(replace(fit, mean=mean[0], nuisances=nuisances[0]), batch, simulator)
+    new = linearise_at(Point(mean[0], nuisances[0]), fit.prior, batch, simulator)
     return new if bool(torch.isfinite(new.fitted).all() & torch.isfinite(new.residual).all()) else line
 
 
-def draw_residuals(line: Linearisation, *, seed: SeedLike, count: int = BOOTSTRAP) -> Tensor:
+def draw_residuals(line: Linearisation, *, seed: SeedLike, count: int = BOOTSTRAP) -> Float[Tensor, "draws rows"]:
     """``count x N`` residuals under the fitted model, before anything is refitted."""
     return torch.randn(count, line.residual.shape[0], generator=generator(seed), dtype=torch.float64)
 
 
-def log_p(part: Linearisation, frames: Tensor, directions: Mapping[str, Tensor], drawn: Tensor) -> tuple[Tensor, Tensor]:
+def log_p(
+    part: Linearisation,
+    frames: Bool[Tensor, "experiments frames"],
+    directions: Mapping[str, Float[Tensor, "_ rows"]],
+    drawn: Float[Tensor, "draws rows"],
+) -> tuple[Float[Tensor, "tests"], Float[Tensor, "tests draws"]]:
     """Log p-values of what a refit to some frames leaves, in several directions and in all (chi-square).
 
     Args:
@@ -98,7 +106,7 @@ def log_p(part: Linearisation, frames: Tensor, directions: Mapping[str, Tensor],
     return logs[:, 0], logs[:, 1:]
 
 
-def calibrate(observed: Sequence[Tensor], drawn: Sequence[Tensor]) -> Tensor:
+def calibrate(observed: Sequence[Float[Tensor, "_"]], drawn: Sequence[Float[Tensor, "_ draws"]]) -> Float[Tensor, "groups"]:
     """P-values of groups of tests, each against the smallest p-value of all tests of all groups.
 
     Args:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
@@ -55,7 +56,7 @@ class GelScatter:
     adequacy_p: float
     converged: bool
     alone: Mapping[str, tuple[ModelFit, ...]] = field(default_factory=dict)
-    sds: Mapping[str, Tensor] = field(default_factory=dict)
+    sds: Mapping[str, Float[Tensor, "controls"]] = field(default_factory=dict)
 
     @property
     def adequate(self) -> bool:

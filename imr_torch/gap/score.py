@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from scipy.stats import chi2, ncx2
 from torch import Tensor
 
@@ -58,7 +59,7 @@ class Block:
     """
 
     name: str
-    directions: Tensor
+    directions: Float[Tensor, "rows rank"]
     size: float = math.nan
 
 
@@ -98,7 +99,7 @@ class GapTest:
 
 def effect_directions(
     effects: Sequence[Effect], fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation
-) -> dict[str, Tensor]:
+) -> dict[str, Float[Tensor, "_ rows"]]:
     """What each effect changes at each of its starts, whitened: name -> ``S x N``; zero for a start that fails."""
     starts = [(effect, start) for effect in effects for start in effect.starts]
     changes = [dict(zip(effect.names, start, strict=True)) for effect, start in starts]
@@ -108,7 +109,7 @@ def effect_directions(
     return {effect.name: part for effect, part in zip(effects, parts, strict=True)}
 
 
-def promising_starts(effect: Effect, rows: Tensor, line: Linearisation) -> tuple[tuple[float, ...], ...]:
+def promising_starts(effect: Effect, rows: Float[Tensor, "starts rows"], line: Linearisation) -> tuple[tuple[float, ...], ...]:
     """From where to fit an effect: next to its neutral value, and from larger ones.
 
     Where the data are sharp a start of typical size is far above the null fit, and may end there; a fit only descends, so
@@ -136,7 +137,7 @@ def promising_starts(effect: Effect, rows: Tensor, line: Linearisation) -> tuple
     return small, (first * float(amplitude[other].clamp(*_TYPICAL)), *shape)
 
 
-def block(name: str, rows: Tensor, line: Linearisation) -> Block:
+def block(name: str, rows: Float[Tensor, "_ rows"], line: Linearisation) -> Block:
     """A block from whitened directions ``k x N``: projected, then reduced to an orthonormal set."""
     left = line.project(rows)
     kept = left.square().sum(1) > _LEFT * rows.square().sum(1).clamp_min(1e-300)
@@ -154,7 +155,9 @@ def generic_blocks(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, 
     return [block(name, rows, line) for name, rows in generic_rows(fit, batch, simulator, line).items()]
 
 
-def generic_rows(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation) -> dict[str, Tensor]:
+def generic_rows(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation
+) -> dict[str, Float[Tensor, "_ rows"]]:
     """Whitened rows that stand for no effect: a law of the state, pulses, drifting parameters, distorted output."""
     experiments, times = len(batch.experiments), batch.times
     last = float(times[batch.mask].max())
@@ -191,7 +194,7 @@ def pulse_changes(batch: ExperimentBatch) -> dict[float, dict[str, float]]:
     return {t: {"pulse": 0.01, "pulse_time": t, "pulse_width": width} for t in centres.tolist()}
 
 
-def shape_rows(line: Linearisation) -> Tensor:
+def shape_rows(line: Linearisation) -> Float[Tensor, "3 rows"]:
     """``dR/dt``, ``t dR/dt`` and ``d2R/dt2`` of the prediction, by differences between frames; ``3 x N``."""
     times = line.batch.times
     slope = torch.stack([torch.gradient(r, spacing=(t,))[0] for r, t in zip(line.prediction, times, strict=True)])
@@ -241,7 +244,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     return GapTest(p_value, tuple(sorted(results, key=lambda r: r.p_value)), *_bias(line))
 
 
-def log_survival(statistic: Tensor, rank: int) -> Tensor:
+def log_survival(statistic: Float[Tensor, "*batch"], rank: int) -> Float[Tensor, "*batch"]:
     """Log of the upper tail of chi-square."""
     tail = torch.special.gammaincc(torch.tensor(0.5 * rank, dtype=torch.float64), 0.5 * statistic)
     # far out the leading term of the asymptotic series keeps the order of the blocks

@@ -16,13 +16,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Float, Int, Shaped
 from scipy.stats import chi2
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
+from imr_torch.assimilate import ModelFit, Point, SearchOptions, assimilate
 from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
-from imr_torch.gap.linear import Linearisation, linearise
+from imr_torch.gap.linear import Linearisation, linearise_at
 from imr_torch.gap.phases import noise_shares, phase_numbers
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
@@ -60,14 +61,14 @@ class HeldOut:
         phase: ``n_t`` integer tensor, number of the phase of each frame; None for a design of one phase.
     """
 
-    residual: Tensor
-    by_nuisance: Tensor
-    log_density: Tensor
+    residual: Float[Tensor, "frames"]
+    by_nuisance: Float[Tensor, "frames nuisances"]
+    log_density: Float[Tensor, "frames"]
     square: float
-    counts: Tensor
+    counts: Shaped[Tensor, "frames"]
     converged: bool
-    by_training: Tensor
-    phase: Tensor | None = None
+    by_training: Float[Tensor, "frames _"]
+    phase: Int[Tensor, "frames"] | None = None
 
 
 @dataclass(frozen=True)
@@ -254,7 +255,7 @@ def hold_out(
     *,
     seed: int,
     unseen: ExperimentBatch | None = None,
-    scatters: Mapping[str, Tensor] | None = None,
+    scatters: Mapping[str, Float[Tensor, "_"]] | None = None,
     progress: Progress | None = None,
 ) -> dict[str, list[HeldOut]]:
     """Predictions of designs by hypotheses whose fits did not see them, in the order of the designs.
@@ -319,7 +320,9 @@ def _train(
     return dict(zip(fits, found.fits, strict=True))
 
 
-def held_out(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, scatter: Tensor | None = None) -> HeldOut:
+def held_out(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, scatter: Float[Tensor, "controls"] | None = None
+) -> HeldOut:
     """Predict a design that a fit did not see; its nuisances are fitted with the gel held, by their priors.
 
     Args:
@@ -340,7 +343,7 @@ def held_out(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, scatte
     def at(moved: Tensor) -> tuple[Linearisation, Tensor, Tensor]:
         nuisances, gel = torch.zeros(1, 3, dtype=torch.float64), fit.mean.clone()
         nuisances[0, columns], gel[own] = moved[:count], gel[own] + spread[own] * moved[count:]
-        line = linearise(replace(fit, mean=gel, nuisances=nuisances), batch, simulator)
+        line = linearise_at(Point(gel, nuisances), fit.prior, batch, simulator)
         slopes = line.fitted[:data]
         return line, slopes[:, :size], torch.cat((slopes[:, size:], slopes[:, :size][:, own] * spread[own]), 1)
 

@@ -10,6 +10,7 @@ baseline for comparison, and no part of the verdict.
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from scipy.stats import chi2
 from torch import Tensor
 
@@ -39,13 +40,13 @@ class MovingWindows:
         p_constant: ``d`` tensor, p-value of a constant parameter.
     """
 
-    centres: Tensor
+    centres: Float[Tensor, "windows"]
     names: tuple[str, ...]
-    values: Tensor
-    low: Tensor
-    high: Tensor
-    drift: Tensor
-    p_constant: Tensor
+    values: Float[Tensor, "windows controls"]
+    low: Float[Tensor, "windows controls"]
+    high: Float[Tensor, "windows controls"]
+    drift: Float[Tensor, "controls"]
+    p_constant: Float[Tensor, "controls"]
 
 
 def moving_windows(

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.elementary import has_compiled_form
@@ -69,7 +70,7 @@ def _all(known: Sequence[Any], more: Sequence[Any]) -> tuple[Any, ...]:
 def solve_transport(
     bubbles: Bubbles,
     terms: Sequence[StressTerm] | None,
-    times: Tensor,
+    times: Float[Tensor, "members times"],
     width: int,
     resolution: Resolution,
     limits: tuple[float, int, float],
@@ -94,7 +95,7 @@ def solve_transport(
 def solve_polytropic(
     bubbles: Bubbles,
     terms: Sequence[StressTerm] | None,
-    times: Tensor,
+    times: Float[Tensor, "members times"],
     width: int,
     stepping: Stepping,
     threads: int | None,
