@@ -36,7 +36,6 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         simulator: makes the bubbles of densely drawn curves; without it they are drawn at the frames.
 
     >>> import torch
-    from jaxtyping import Float
     >>> from imr_torch import PolytropicSimulator
     >>> from imr_torch.gap import diagnose, to_json
     >>> from imr_torch.material import PARAMETERS, library
