@@ -14,7 +14,8 @@ from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.plausibility import check_experiment, check_maximum
 from imr_torch.observe.prepare import Prepared, prepare
 from imr_torch.observe.readers import READERS, Reader, register_reader
-from imr_torch.observe.traces import Given, LeftOut, RadiusTrace, TraceSet
+from imr_torch.observe.sidecar import state
+from imr_torch.observe.traces import Given, LeftOut, Override, RadiusTrace, TraceSet
 from imr_torch.observe.window import collapse_time
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "LeftOut",
     "Noise",
     "Nuisance",
+    "Override",
     "Prepared",
     "RadiusTrace",
     "Reader",
@@ -53,5 +55,6 @@ __all__ = [
     "predict",
     "prepare",
     "register_reader",
+    "state",
     "to_experiment",
 ]

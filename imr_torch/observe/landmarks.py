@@ -43,12 +43,12 @@ class Landmarks:
         max_radius_sd_m: its standard deviation.
         time_of_max_s: its time in s, with ``time_of_max_sd_s``.
         time_of_max_sd_s: its standard deviation.
-        max_method: "peak fit", "as given" (the laboratory's value; the record starts after the peak), or "edge" (the
-            largest frame).
+        max_method: "peak fit", "as given" (the laboratory's value; the record starts after the peak), "edge" (the
+            largest frame), or "as stated" (:class:`imr_torch.observe.Override`).
         rest_radius_m: equilibrium radius in m, or None.
         rest_radius_sd_m: its standard deviation, or None.
         rest_settled: whether the bubble has come to rest within the record (a quiet tail, at least half a cycle long).
-        rest_method: "settled tail", "last cycles", "first rebound", "as given" or "not in record".
+        rest_method: "settled tail", "last cycles", "first rebound", "as given", "as stated" or "not in record".
         collapse_times_s: times of the minima after the maximum radius.
         rebound_times_s: times of the maxima after the first collapse.
         rebound_radii_m: their radii.
@@ -221,6 +221,19 @@ def _fit_extreme(time: np.ndarray, radius: np.ndarray, noise: float, degree: int
 
 
 def _peak(trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise: float) -> tuple[_Extreme, str]:
+    """Maximum radius: as it is stated, or else found; what is not stated of it is found."""
+    found, method = _found_peak(trace, time, radius, noise)
+    stated = trace.given.override
+    if stated is None or (stated.max_radius_m is None and stated.time_of_max_s is None):
+        return found, method
+    if stated.max_radius_m is not None:
+        found = replace(found, value=stated.max_radius_m, value_sd=stated.max_radius_sd_m or noise)
+    if stated.time_of_max_s is not None:
+        found = replace(found, time=stated.time_of_max_s, time_sd=float(np.median(np.diff(time))) / 2.0)
+    return found, "as stated"
+
+
+def _found_peak(trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise: float) -> tuple[_Extreme, str]:
     """Maximum radius: a fit where frames stand on both sides of it, else what the laboratory says, else a frame."""
     k = int(radius.argmax())
     top, given = float(radius[k]), trace.given
@@ -308,6 +321,10 @@ def _rest(
     settled_below: float,
 ) -> tuple[float | None, float | None, bool, str]:
     """Rest radius, its sd, whether settled, and the method."""
+    override = trace.given.override
+    if override is not None and override.rest_radius_m is not None:
+        sd = override.rest_radius_sd_m or MIN_STATED_SD * override.rest_radius_m
+        return override.rest_radius_m, sd, True, "as stated"
     minima, maxima = extremes
     count = max(5, math.ceil(tail_fraction * len(radius)))
     tail = radius[-count:]

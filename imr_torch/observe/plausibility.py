@@ -129,7 +129,8 @@ def _check_stated(where: str, trace: RadiusTrace, landmarks: Landmarks, surround
             f"{where}: exposure_s is {1e6 * given.exposure_s:.4g} us, and frames are {1e6 * apart:.4g} us apart; expected the "
             "exposure of one frame in seconds, no longer than that. Leave it out if it is not known."
         )
-    stated, scale = given.time_of_max_s, float(surroundings.time_scale(top))
+    overridden = given.override is not None and given.override.time_of_max_s is not None
+    stated, scale = None if overridden else given.time_of_max_s, float(surroundings.time_scale(top))
     if stated is not None and abs(stated - landmarks.time_of_max_s) > _LATEST_MAXIMUM * scale:
         raise InputDataError(
             f"{where}: t_Rmax_s is {1e6 * stated:.4g} us, and the maximum radius of the frames is at "

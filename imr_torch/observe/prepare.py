@@ -69,7 +69,7 @@ def prepare(
     collapses: int = 2,
     rest_radius: tuple[float, float] | None = None,
 ) -> Prepared:
-    """Dimensionless experiments of a set of traces, cut after ``collapses`` collapses.
+    """Dimensionless experiments of a set of traces, cut after ``collapses`` collapses or at the stated end of a window.
 
     Args:
         traces: the curves.
@@ -104,17 +104,27 @@ def prepare(
         cautions += check_maximum(trace, marks, outer)
         whole = to_experiment(trace, marks, outer, rest_radius=rest_radius)
         cautions += check_experiment(whole, where)
-        window = whole.until(collapse_time(whole.times, whole.radius[0], collapses))
-        if len(window.times) < _MIN_FRAMES:
-            raise InputDataError(
-                f"{where} has {len(window.times)} frames between its maximum and collapse {collapses}; at least {_MIN_FRAMES} "
-                "are needed. Raise the number of collapses, or leave it out."
-            )
+        window = _window(trace, whole, marks, outer, collapses)
         experiments.append(window)
         landmarks[name] = marks
         frames[name] = len(trace), len(trace) - len(whole.times), len(whole.times) - len(window.times)
         firsts[name] = collapse_time(whole.times, whole.radius[0], 1)
     return Prepared(tuple(experiments), landmarks, frames, firsts, rest_radius is not None, tuple(cautions))
+
+
+def _window(trace: RadiusTrace, whole: Experiment, marks: Landmarks, surroundings: Surroundings, collapses: int) -> Experiment:
+    """The frames that are fitted: up to the stated end of the window, else up to a collapse."""
+    override, last = trace.given.override, f"collapse {collapses}"
+    end, remedy = collapse_time(whole.times, whole.radius[0], collapses), "Raise the number of collapses, or leave it out."
+    if override is not None and override.window_end_s is not None:
+        end = (override.window_end_s - marks.time_of_max_s) / float(surroundings.time_scale(marks.max_radius_m))
+        last = f"the stated end of the window at {1e6 * override.window_end_s:.4g} us"
+        remedy = "State a later window_end_s, on the time axis of the file, or leave it out."
+    if (count := int((whole.times <= end).sum())) < _MIN_FRAMES:
+        raise InputDataError(
+            f"{_where(trace)} has {count} frames between its maximum and {last}; at least {_MIN_FRAMES} are needed. {remedy}"
+        )
+    return whole.until(end)
 
 
 def _where(trace: RadiusTrace) -> str:

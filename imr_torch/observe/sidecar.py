@@ -9,22 +9,25 @@ Fields, all optional, at the top for all curves, or in an entry of ``experiments
 
 ``exposure_s`` is how long a frame is exposed: predicted radii are averaged over it. ``Rinf_sd_m`` states R_inf with its
 standard deviation; ``Rinf_tail_std_m`` is the scatter of the end of the record.
+``override`` holds what a person who looked at the frames states, and counts before everything else, the frames included:
+``{"override": {"Rmax_m": 2.5e-4, "Rmax_sd_m": 1e-6, "t_Rmax_s": 0.0, "Rinf_m": 4.3e-5, "Rinf_sd_m": 4e-7,
+"window_end_s": 6e-5}}``, each field optional; :func:`state` writes it.
 ``material`` is read as ``medium``. A ``medium`` at the top that is an object states properties, with or without a standard
 deviation: ``{"name": "water", "temperature": 310, "density": [1125, 11]}`` (:mod:`imr_torch.observe.medium`).
 Other fields are left alone. A file with one curve may have its values at the top.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from imr_torch.errors import InputDataError
-from imr_torch.files import read_json
+from imr_torch.files import read_json, write_json
 from imr_torch.observe.headers import Said, unit_of
 from imr_torch.observe.layout import LENGTHS, TIMES
 from imr_torch.observe.medium import Statement
-from imr_torch.observe.traces import Given, RadiusTrace, TraceSet
+from imr_torch.observe.traces import Given, Override, RadiusTrace, TraceSet
 
 _NUMBERS = {
     "Rmax_m": "max_radius_m",
@@ -36,6 +39,14 @@ _NUMBERS = {
     "frame_rate_fps": "frame_rate_hz",
     "pixel_size_m": "pixel_size_m",
     "exposure_s": "exposure_s",
+}
+_OVERRIDES = {
+    "Rmax_m": "max_radius_m",
+    "Rmax_sd_m": "max_radius_sd_m",
+    "t_Rmax_s": "time_of_max_s",
+    "Rinf_m": "rest_radius_m",
+    "Rinf_sd_m": "rest_radius_sd_m",
+    "window_end_s": "window_end_s",
 }
 _REMARKS = ("frame_rate_fps", "pixel_size_m")  # may be a text, such as "about 4e5, uneven", which is left alone
 _OF_ALL = ("frame_rate_fps", "pixel_size_m", "exposure_s")
@@ -140,11 +151,27 @@ class Sidecar:
             raise self._unusable(f"experiment '{name}': Rinf_settled is {settled!r}; expected true or false")
         of_all = self.stated.name if self.stated else self.top.get("medium")
         medium = entry.get("medium") or of_all or self.top.get("material")
+        override = self._override(own, name)
         try:
             text = None if medium is None else str(medium)
-            return Given(**values, rest_settled=settled, medium=text, stated=self.stated)
+            return Given(**values, rest_settled=settled, medium=text, stated=self.stated, override=override)
         except InputDataError as error:
             raise self._unusable(f"experiment '{name}': {type(error).__name__}: {error}") from error
+
+    def _override(self, own: dict[str, Any], name: str) -> Override | None:
+        """What is stated about an experiment in its own entry, or at the top for the only one."""
+        stated = own.get("override")
+        if stated is None:
+            return None
+        unknown = ", ".join(sorted(set(stated) - set(_OVERRIDES))) if isinstance(stated, dict) else ""
+        if unknown or not isinstance(stated, dict):
+            said = f"has the unknown field(s) {unknown}" if unknown else f"is {stated!r}"
+            raise self._unusable(f"override of experiment '{name}' {said}; expected some of {', '.join(_OVERRIDES)}")
+        where = f"the override of experiment '{name}'"
+        try:
+            return Override(**{field: self._number(stated, key, where) for key, field in _OVERRIDES.items()})
+        except InputDataError as error:
+            raise self._unusable(f"{where}: {error}") from None
 
     def added_to(self, traces: TraceSet) -> TraceSet:
         """The traces with what it says about them, where their file says nothing itself, and a note."""
@@ -175,6 +202,48 @@ class Sidecar:
             f"{self.path}: frame_rate_fps is {rate:g} and the frames of '{trace.experiment_id}' are {1e6 * interval:.4g} us "
             f"apart, which is {1.0 / interval:.4g} per second; the times of the file are used. Correct the one that is wrong."
         )
+
+
+def state(path: str | Path, experiment_id: str, values: Mapping[str, float | None], *, alone: bool) -> Path:
+    """Write what a person states about a curve into the JSON file beside its file, where it counts before the frames.
+
+    Nothing else in that file is changed. The result is checked before it is written.
+
+    Args:
+        path: the file of the curve.
+        experiment_id: its name.
+        values: of ``Rmax_m``, ``Rmax_sd_m``, ``t_Rmax_s``, ``Rinf_m``, ``Rinf_sd_m``, ``window_end_s``; None or left out: found
+            in the frames, as if nothing had been stated.
+        alone: whether the file holds this curve alone.
+
+    Returns:
+        The JSON file.
+
+    Raises:
+        InputDataError: if a value cannot be meant, or the JSON file there is cannot be used.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from imr_torch.observe.sidecar import Sidecar, state
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = state(Path(folder) / "gel.csv", "gel", {"Rinf_m": 4e-5}, alone=True)
+    ...     Sidecar(Path(folder) / "gel.csv").given("gel", alone=True).override.rest_radius_m
+    4e-05
+    """
+    beside = Sidecar(Path(path))
+    kept = {key: value for key, value in values.items() if value is not None}
+    beside._override({"override": kept}, experiment_id)  # refuses what cannot be meant
+    document = dict(beside.top)
+    entries = {name: dict(entry) for name, entry in beside.entries.items()}
+    own = document if alone and not entries else entries.setdefault(experiment_id, {"experiment_id": experiment_id})
+    own.pop("override", None)
+    own |= {"override": kept} if kept else {}
+    if own == {"experiment_id": experiment_id} and experiment_id not in beside.entries:
+        del entries[experiment_id]
+    document |= {"experiments": list(entries.values())} if entries else {}
+    if document or beside.exists:
+        write_json(beside.path, document)
+    return beside.path
 
 
 def _merged(own: Given, beside: Given) -> Given:

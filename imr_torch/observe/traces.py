@@ -24,6 +24,47 @@ MIN_SAMPLES = 5
 
 
 @dataclass(frozen=True)
+class Override:
+    """What a person who looked at the frames states about a curve; it counts before frames, file and laboratory.
+
+    Args:
+        max_radius_m: maximum radius in m.
+        max_radius_sd_m: its standard deviation in m; that of one frame if not given.
+        time_of_max_s: time of the maximum radius in s, on the time axis of the trace.
+        rest_radius_m: equilibrium radius in m.
+        rest_radius_sd_m: its standard deviation in m; 1 % of it if not given.
+        window_end_s: time in s of the last frame that is fitted, in place of a number of collapses.
+
+    Raises:
+        InputDataError: if a length is not positive and finite, a time not finite, or a standard deviation stands alone.
+
+    >>> from imr_torch.observe import Override
+    >>> Override(rest_radius_m=4e-5, window_end_s=6e-5).window_end_s
+    6e-05
+    """
+
+    max_radius_m: float | None = None
+    max_radius_sd_m: float | None = None
+    time_of_max_s: float | None = None
+    rest_radius_m: float | None = None
+    rest_radius_sd_m: float | None = None
+    window_end_s: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("max_radius_m", "max_radius_sd_m", "rest_radius_m", "rest_radius_sd_m"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < float("inf"):
+                raise InputDataError(f"Override.{name} is {value}; expected a positive length in m, or None.")
+        for name in ("time_of_max_s", "window_end_s"):
+            value = getattr(self, name)
+            if value is not None and not np.isfinite(value):
+                raise InputDataError(f"Override.{name} is {value}; expected seconds, or None.")
+        for value, sd in (("max_radius_m", "max_radius_sd_m"), ("rest_radius_m", "rest_radius_sd_m")):
+            if getattr(self, value) is None and getattr(self, sd) is not None:
+                raise InputDataError(f"Override.{sd} is {getattr(self, sd)} and {value} is not given; give both.")
+
+
+@dataclass(frozen=True)
 class Given:
     """What the laboratory itself says about an experiment; ``None`` where it says nothing.
 
@@ -39,6 +80,7 @@ class Given:
         exposure_s: exposure of a frame in s.
         medium: what the bubble was in, as text.
         stated: what is stated about the medium's properties.
+        override: what counts before the frames and everything else said here.
 
     Raises:
         InputDataError: if a number is not finite, or one that must be is not positive.
@@ -59,6 +101,7 @@ class Given:
     exposure_s: float | None = None
     medium: str | None = None
     stated: Statement | None = None
+    override: Override | None = None
 
     def __post_init__(self) -> None:
         for names, what in (
