@@ -53,11 +53,19 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
+def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: the arguments; those of this process by default.
+        live: whether progress is one line that rewrites itself; on a terminal by default.
+
+    Returns:
+        The exit status.
+    """
     args = parser().parse_args(argv)
     args.argv = list(sys.argv[1:] if argv is None else argv)
-    args.terminal = Terminal(args.command, quiet=args.quiet, verbose=args.verbose)
+    args.terminal = Terminal(args.command, quiet=args.quiet, verbose=args.verbose, live=live)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names of experiments on a terminal that lacks their letters

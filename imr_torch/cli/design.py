@@ -8,6 +8,7 @@ from typing import Any
 from imr_torch.campaign import Optimal
 from imr_torch.cli.common import (
     check_counts,
+    header_of,
     parse_pair,
     prior_of,
     progress_of,
@@ -33,9 +34,10 @@ from imr_torch.design import (
     search_design,
 )
 from imr_torch.errors import InputDataError
+from imr_torch.html import write
 from imr_torch.observe import Nuisance
 from imr_torch.plot import information_map
-from imr_torch.results import draw_figures
+from imr_torch.results import design_page, draw_figures
 from imr_torch.simulate import coarser
 from imr_torch.units import Surroundings
 
@@ -113,6 +115,8 @@ def run(args: argparse.Namespace) -> None:
         print(f"{'adds' if number > 1 else 'expected information gain'} {best.mean:.3f} +- {best.sd:.3f} nats")
     if len(steps) > 1:
         print(f"together {search.joint:.3f} nats")
+    if args.html:
+        print(f"wrote {write(design_page(header_of(args) | document), args.html)}")
     if args.out:
         save_figures(draw_figures(document), Path(args.out))
 

@@ -40,7 +40,7 @@ _NUMBERS = {
     "pixel_size_m": "pixel_size_m",
     "exposure_s": "exposure_s",
 }
-_OVERRIDES = {
+OVERRIDES = {
     "Rmax_m": "max_radius_m",
     "Rmax_sd_m": "max_radius_sd_m",
     "t_Rmax_s": "time_of_max_s",
@@ -48,6 +48,7 @@ _OVERRIDES = {
     "Rinf_sd_m": "rest_radius_sd_m",
     "window_end_s": "window_end_s",
 }
+"""Fields of ``override`` in the JSON file, and those of :class:`imr_torch.observe.Override`."""
 _REMARKS = ("frame_rate_fps", "pixel_size_m")  # may be a text, such as "about 4e5, uneven", which is left alone
 _OF_ALL = ("frame_rate_fps", "pixel_size_m", "exposure_s")
 _RATE_TOLERANCE = 0.05
@@ -163,13 +164,13 @@ class Sidecar:
         stated = own.get("override")
         if stated is None:
             return None
-        unknown = ", ".join(sorted(set(stated) - set(_OVERRIDES))) if isinstance(stated, dict) else ""
+        unknown = ", ".join(sorted(set(stated) - set(OVERRIDES))) if isinstance(stated, dict) else ""
         if unknown or not isinstance(stated, dict):
             said = f"has the unknown field(s) {unknown}" if unknown else f"is {stated!r}"
-            raise self._unusable(f"override of experiment '{name}' {said}; expected some of {', '.join(_OVERRIDES)}")
+            raise self._unusable(f"override of experiment '{name}' {said}; expected some of {', '.join(OVERRIDES)}")
         where = f"the override of experiment '{name}'"
         try:
-            return Override(**{field: self._number(stated, key, where) for key, field in _OVERRIDES.items()})
+            return Override(**{field: self._number(stated, key, where) for key, field in OVERRIDES.items()})
         except InputDataError as error:
             raise self._unusable(f"{where}: {error}") from None
 

@@ -3,6 +3,7 @@
 from imr_torch.results.campaign import campaign_document
 from imr_torch.results.campaign_page import campaign_page
 from imr_torch.results.characterization import characterization_document
+from imr_torch.results.design_page import design_page
 from imr_torch.results.figures import draw_figures
 from imr_torch.results.header import SCHEMA_VERSION, check_document, header, read_document
 from imr_torch.results.named import NamedFigure
@@ -18,6 +19,7 @@ __all__ = [
     "characterization_document",
     "characterization_page",
     "check_document",
+    "design_page",
     "draw_figures",
     "for_publication",
     "header",

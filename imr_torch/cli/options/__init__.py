@@ -6,6 +6,6 @@ subcommand computes is in the module of the same name in :mod:`imr_torch.cli`, i
 
 from types import ModuleType
 
-from imr_torch.cli.options import batch, campaign, characterize, compare, demo, design, diagnose, plot, simulate
+from imr_torch.cli.options import app, batch, campaign, characterize, compare, demo, design, diagnose, plot, simulate
 
-COMMANDS: tuple[ModuleType, ...] = (demo, simulate, characterize, batch, compare, design, campaign, diagnose, plot)
+COMMANDS: tuple[ModuleType, ...] = (demo, app, simulate, characterize, batch, compare, design, campaign, diagnose, plot)

@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--estimator", choices=ESTIMATORS, default="laplace", help="of the information gain (default laplace)")
     parser.add_argument("--draws", type=int, default=16, help="draws per model of each estimate (default 16)")
     parser.add_argument("--out", metavar="DIR", help="folder for the map and JSON")
+    parser.add_argument("--html", metavar="FILE", help="write the result with its map as one HTML file")
     add_medium_argument(parser)
     add_physics_argument(parser)
     add_workers_argument(parser)

@@ -1,0 +1,244 @@
+"""Commands as processes: one at a time, with progress and messages; each writes into a folder of its own.
+
+``results/003_characterize/`` holds what the command wrote, ``run.json`` (arguments, times, exit status), ``output.txt`` and
+``messages.txt``. A folder whose run has no exit status and is not running was interrupted with the application.
+"""
+
+import io
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import threading
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from os import environ
+from pathlib import Path
+
+from imr_torch.errors import InputDataError
+from imr_torch.files import read_json, write_atomically, write_json
+
+_COMMAND = "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], live=True))"
+_TIME = re.compile(r"((?:\d+:)?\d+:\d\d), about ((?:\d+:)?\d+:\d\d) left")
+_PATIENCE = 10.0  # seconds that a stopped command has to end by itself
+_STATUS = {0: "done", 1: "not converged, or a file could not be written", 2: "the input cannot be used", 130: "stopped"}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run left.
+
+    Args:
+        folder: of the run.
+        arguments: of the command.
+        started: date and time, ISO 8601.
+        status: exit status; None where the run was interrupted with the application.
+    """
+
+    folder: Path
+    arguments: tuple[str, ...]
+    started: str
+    status: int | None
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self.folder.name
+
+    @property
+    def page(self) -> Path | None:
+        """The page that the command wrote, if it did."""
+        path = self.folder / "page.html"
+        return path if path.is_file() else None
+
+    @property
+    def command(self) -> str:
+        """The command line."""
+        return command_line(self.arguments)
+
+    @property
+    def outcome(self) -> str:
+        """How it ended, in words."""
+        return "interrupted" if self.status is None else _STATUS.get(self.status, f"exit status {self.status}")
+
+    def text(self, name: str) -> str:
+        """``output.txt`` or ``messages.txt``; empty where nothing was written."""
+        path = self.folder / name
+        return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+
+    def archive(self) -> bytes:
+        """All files of the run as a zip file."""
+        stream = io.BytesIO()
+        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as file:
+            for path in sorted(self.folder.rglob("*")):
+                if path.is_file():
+                    file.write(path, f"{self.name}/{path.relative_to(self.folder).as_posix()}")
+        return stream.getvalue()
+
+
+def command_line(arguments: tuple[str, ...] | list[str]) -> str:
+    """Arguments as a command line."""
+    return shlex.join(["imr-torch", *arguments])
+
+
+class Run:
+    """A command that is running.
+
+    Args:
+        result: its folder and arguments.
+        home: folder in which it runs.
+    """
+
+    def __init__(self, result: Result, home: Path) -> None:
+        self.result, self.line, self._messages = result, "starting", ""
+        new_group = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", _COMMAND, *result.arguments],
+            cwd=home,
+            env=environ | {"PYTHONIOENCODING": "utf-8", "PYTHONUNBUFFERED": "1", "COLUMNS": "160"},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            creationflags=new_group,
+        )
+        self._output: list[bytes] = []
+        self._readers = [threading.Thread(target=read, daemon=True) for read in (self._read_output, self._read_messages)]
+        for reader in self._readers:
+            reader.start()
+        self._end = threading.Thread(target=self._finish, daemon=True)
+        self._end.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended, or its files are not complete."""
+        return self._end.is_alive()
+
+    @property
+    def part(self) -> float | None:
+        """Part of the work that is done, roughly; None as long as it is not known."""
+        times = _TIME.search(self.line)
+        if times is None:
+            return None
+        elapsed, left = map(_seconds, times.groups())
+        return elapsed / max(elapsed + left, 1.0)
+
+    def stop(self) -> None:
+        """Stop it; what was written stays."""
+        if self._process.poll() is None:
+            self._process.send_signal(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGINT))
+            threading.Thread(target=self._insist, daemon=True).start()
+
+    def wait(self, seconds: float | None = None) -> None:
+        """Wait until it has ended."""
+        self._end.join(seconds)
+
+    def _insist(self) -> None:
+        try:
+            self._process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+
+    def _read_output(self) -> None:
+        assert self._process.stdout is not None
+        self._output += list(self._process.stdout)
+
+    def _read_messages(self) -> None:
+        """Standard error: a line that ends with a carriage return is progress, any other a message."""
+        assert self._process.stderr is not None
+        pending = ""
+        reader = io.TextIOWrapper(self._process.stderr, encoding="utf-8", errors="replace", newline="")
+        while character := reader.read(1):
+            if character not in "\r\n":
+                pending += character
+                continue
+            if character == "\n":
+                self._messages += pending.strip() + "\n" * bool(pending.strip())
+            elif pending.strip():
+                self.line = pending.strip()
+            pending = ""
+        self._messages += pending.strip()
+
+    def _finish(self) -> None:
+        status = self._process.wait()
+        for reader in self._readers:
+            reader.join()
+        folder = self.result.folder
+        write_atomically(folder / "output.txt", lambda stream: stream.write(b"".join(self._output)))
+        write_atomically(folder / "messages.txt", lambda stream: stream.write(self._messages.encode()))
+        _write_record(self.result, 130 if status < 0 else status)
+
+
+class Runs:
+    """All runs in a folder.
+
+    Args:
+        home: the folder in which commands run; their results are in its ``results``.
+    """
+
+    def __init__(self, home: Path) -> None:
+        self.home, self.folder = home, home / "results"
+        self.current: Run | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a command is running."""
+        return self.current is not None and self.current.running
+
+    def next_folder(self, kind: str) -> str:
+        """The folder of the next run, relative to ``home``."""
+        taken = [int(m[1]) for path in self.folder.glob("*_*") if (m := re.match(r"(\d+)_", path.name))]
+        return f"results/{max(taken, default=0) + 1:03d}_{kind}"
+
+    def start(self, arguments: Callable[[str], list[str]], kind: str) -> Run:
+        """Start a command.
+
+        Args:
+            arguments: of the command, for a folder that results go to.
+            kind: the name of the command.
+
+        Raises:
+            InputDataError: if one is running.
+        """
+        if self.busy:
+            raise InputDataError("A command is running; stop it, or wait until it has ended.")
+        place = self.next_folder(kind)
+        started = datetime.now(UTC).isoformat(timespec="seconds")
+        result = Result(self.home / place, tuple(arguments(place)), started, None)
+        result.folder.mkdir(parents=True)
+        _write_record(result, None)
+        self.current = Run(result, self.home)
+        return self.current
+
+    def results(self) -> list[Result]:
+        """All runs that have ended, the latest first."""
+        running = self.current.result.folder if self.busy and self.current else None
+        found = [_read_record(path.parent) for path in self.folder.glob("*/run.json") if path.parent != running]
+        return sorted(found, key=lambda result: result.name, reverse=True)
+
+    def result(self, name: str) -> Result:
+        """A run by its name.
+
+        Raises:
+            InputDataError: if there is none of that name.
+        """
+        found = {result.name: result for result in self.results()}
+        if name not in found:
+            raise InputDataError(f"There is no result {name!r}.")
+        return found[name]
+
+
+def _seconds(clock: str) -> float:
+    return float(sum(60**power * int(part) for power, part in enumerate(reversed(clock.split(":")))))
+
+
+def _write_record(result: Result, status: int | None) -> None:
+    record = {"arguments": list(result.arguments), "started": result.started, "status": status}
+    write_json(result.folder / "run.json", record)
+
+
+def _read_record(folder: Path) -> Result:
+    record = read_json(folder / "run.json", expected="expected the record of a run")
+    return Result(folder, tuple(record["arguments"]), record["started"], record["status"])

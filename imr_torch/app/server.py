@@ -1,0 +1,161 @@
+"""The page with its five tabs, the server on this machine alone, and the routes that hand out results.
+
+The forms of a page belong to the browser tab that shows it; files, what is stated, and results are those of the folder, so a
+page that is loaded again shows the same.
+"""
+
+import secrets
+import socket
+import threading
+import webbrowser
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+from fastapi import Response
+from filelock import FileLock, Timeout
+from nicegui import app, ui
+
+from imr_torch.app.guard import Guard
+from imr_torch.app.runs import Runs
+from imr_torch.app.view_curves import CurvesView
+from imr_torch.app.view_files import FilesView
+from imr_torch.app.view_medium import MediumView
+from imr_torch.app.view_results import ResultsView
+from imr_torch.app.view_run import RunView
+from imr_torch.app.workspace import Workspace
+from imr_torch.errors import InputDataError
+
+HOST = "127.0.0.1"
+_COLOUR = "#0072b2"
+_STYLE = """
+.nicegui-content { max-width: 76rem; margin: 0 auto; width: 100%; }
+.q-tab__label { white-space: nowrap; } .problem { color: #a03c00; } .quiet { color: #555; }
+.command { font-family: ui-monospace, monospace; font-size: .85rem; white-space: pre-wrap; overflow-wrap: anywhere;
+  background: #f4f4f4; padding: .5rem .7rem; border-radius: 4px; width: 100%; }
+iframe.page { width: 100%; height: 78vh; border: 1px solid #ccc; background: #fff; }
+"""
+
+
+def serve(folder: Path, *, port: int = 0, browser: bool = True, say: Callable[[str], None] = print) -> None:
+    """Serve the application until it is interrupted.
+
+    Args:
+        folder: of files and results; made if it does not exist.
+        port: on which to listen; 0: a free one.
+        browser: whether to open it in the browser.
+        say: told the address.
+
+    Raises:
+        InputDataError: if another application uses the folder, or the port is taken.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / ".app.lock", timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise InputDataError(f"{folder} is in use by another application; close that one, or give another --out.") from None
+    with lock:
+        number, token = _free_port(port), secrets.token_urlsafe(24)
+        workspace, runs = Workspace(folder), Runs(folder.resolve())
+        app.add_middleware(Guard, token=token, port=number)
+        _add_routes(runs)
+        app.on_shutdown(lambda: _end(runs))
+        address = f"http://{HOST}:{number}/?token={token}"
+        app.on_startup(lambda: _started(address, folder, say, browser))
+        ui.run(
+            lambda: _page(workspace, runs),
+            host=HOST,
+            port=number,
+            title="imr_torch",
+            favicon="🫧",
+            reload=False,
+            show=False,
+            show_welcome_message=False,
+            reconnect_timeout=30.0,
+        )
+
+
+def _free_port(port: int) -> int:
+    """The port, or a free one for 0.
+
+    Raises:
+        InputDataError: if it is taken.
+    """
+    with closing(socket.socket()) as probe:
+        try:
+            probe.bind((HOST, port))
+        except (OSError, OverflowError) as error:
+            raise InputDataError(f"--port is {port}, which cannot be used ({error}); give another, or leave it out.") from None
+        return probe.getsockname()[1]
+
+
+def _started(address: str, folder: Path, say: Callable[[str], None], browser: bool) -> None:
+    say(f"Open {address}\nFiles and results are kept in {folder}. End with Ctrl-C.")
+    if browser:
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+
+
+def _end(runs: Runs) -> None:
+    """Stop what is running, so that nothing goes on unseen."""
+    if runs.busy and runs.current:
+        runs.current.stop()
+        runs.current.wait(15.0)
+
+
+def _add_routes(runs: Runs) -> None:
+    """Pages of results, which may run nothing and load nothing, and their files as an archive."""
+
+    @app.get("/result/{name}/page")
+    def page(name: str) -> Response:
+        found = _result_page(runs, name)
+        if found is None:
+            return Response("There is no such page.", 404, media_type="text/plain")
+        policy = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'; sandbox"
+        return Response(found, media_type="text/html", headers={"Content-Security-Policy": policy})
+
+    @app.get("/result/{name}/archive")
+    def archive(name: str) -> Response:
+        try:
+            content = runs.result(name).archive()
+        except InputDataError as error:
+            return Response(str(error), 404, media_type="text/plain")
+        disposition = f'attachment; filename="{name}.zip"'
+        return Response(content, media_type="application/zip", headers={"Content-Disposition": disposition})
+
+
+def _result_page(runs: Runs, name: str) -> bytes | None:
+    try:
+        path = runs.result(name).page
+    except InputDataError:
+        return None
+    return path.read_bytes() if path else None
+
+
+def _page(workspace: Workspace, runs: Runs) -> None:
+    """The page: a header and five tabs; a tab is made anew whenever it is opened."""
+    ui.colors(primary=_COLOUR)
+    ui.add_css(_STYLE)
+    names = ("Files", "Curves", "Medium", "Run", "Results")
+    with ui.header().classes("items-center q-py-xs"):
+        ui.label("imr_torch").classes("text-h6")
+        ui.label(str(workspace.folder)).classes("text-caption gt-xs")
+    with ui.tabs().props("align=left outside-arrows mobile-arrows no-caps").classes("w-full") as tabs:
+        for number, name in enumerate(names, start=1):
+            ui.tab(name, f"{number} {name}")
+
+    def go(name: str) -> None:
+        tabs.set_value(name)
+
+    views = {
+        "Files": FilesView(workspace, go=go),
+        "Curves": CurvesView(workspace),
+        "Medium": MediumView(workspace),
+        "Run": RunView(workspace, runs, go=go),
+        "Results": ResultsView(runs),
+    }
+    with ui.tab_panels(tabs, value="Files", animated=False).classes("w-full"):
+        for name in names:
+            with ui.tab_panel(name).classes("q-px-none"):
+                views[name].show()
+    tabs.on_value_change(lambda event: views[str(event.value)].show.refresh())

@@ -1,0 +1,193 @@
+"""The tab of curves: the frames of one, with the maximum, R_inf and the end of the window as lines that can be moved."""
+
+from typing import Any
+
+from nicegui import events, ui
+
+from imr_torch.app.workspace import CurveView, Workspace
+from imr_torch.cli.options.names import COLLAPSES
+from imr_torch.errors import ImrError
+from imr_torch.observe.sidecar import OVERRIDES
+
+_FITTED, _OUTSIDE, _MAXIMUM, _REST, _WINDOW = "#0072b2", "#9a9a9a", "#d55e00", "#009e73", "#cc79a7"
+_MICRO = 1e6
+_FIELDS = {
+    "Rmax_m": "Rmax (um)",
+    "Rmax_sd_m": "its sd (um)",
+    "t_Rmax_s": "time of Rmax (us)",
+    "Rinf_m": "R_inf (um)",
+    "Rinf_sd_m": "its sd (um)",
+    "window_end_s": "last fitted time (us)",
+}
+_LINES = ("t_Rmax_s", "Rmax_m", "Rinf_m", "window_end_s")
+"""What the lines of the figure show, in their order."""
+_NAMES = {"t_Rmax_s": "maximum", "Rmax_m": "Rmax", "Rinf_m": "R_inf", "window_end_s": "end of window"}
+_PAIRS = {"Rmax_m": "Rmax_sd_m", "Rinf_m": "Rinf_sd_m"}
+
+
+class CurvesView:
+    """The tab.
+
+    Args:
+        workspace: the folder.
+    """
+
+    def __init__(self, workspace: Workspace) -> None:
+        self.workspace = workspace
+        self.name, self.collapses = "", COLLAPSES
+
+    @ui.refreshable_method
+    def show(self) -> None:
+        """Draw it."""
+        try:
+            names = list(self.workspace.traces().ids)
+        except ImrError as error:
+            ui.label(str(error)).classes("problem")
+            return
+        if not names:
+            ui.label("There are no curves yet; add files first.").classes("quiet")
+            return
+        self.name = self.name if self.name in names else names[0]
+        with ui.row().classes("items-center"):
+            ui.select(names, value=self.name, label="Curve", on_change=self._choose).style("min-width: 12rem")
+            ui.button(icon="chevron_left", on_click=lambda: self._step(names, -1)).props(
+                'flat round aria-label="Previous curve"'
+            )
+            ui.button(icon="chevron_right", on_click=lambda: self._step(names, +1)).props('flat round aria-label="Next curve"')
+            ui.label(f"{names.index(self.name) + 1} of {len(names)}").classes("quiet")
+        view = self.workspace.curve(self.name, self.collapses)
+        ui.label(
+            "Move the lines with the mouse or type values. Empty fields are found in the frames; what is stated is written "
+            "into the JSON file beside the table and counts in every command."
+        ).classes("quiet")
+        plot = ui.plotly(figure(view)).classes("w-full").style("height: min(26rem, 70vh)")
+        plot.on("plotly_relayout", lambda event: self._moved(view, event))
+        self._fields(view)
+        ui.label(view.report).classes("problem" if view.fitted is None else "").style(
+            "white-space: pre-wrap; overflow-wrap: anywhere"
+        )
+
+    def _fields(self, view: CurveView) -> None:
+        stated = stated_values(view)
+        with ui.row().classes("w-full"):
+            for key, label in _FIELDS.items():
+                found = found_values(view)[key]
+                value = stated.get(key)
+                ui.number(
+                    label,
+                    value=None if value is None else float(f"{_MICRO * value:.5g}"),
+                    placeholder="" if found is None else f"{_MICRO * found:.4g}",
+                ).props("clearable debounce=700 stack-label").style("width: 10rem").on_value_change(
+                    lambda event, key=key: self._typed(view, key, event.value)
+                )
+            ui.button("As found", on_click=lambda: self._state(view, {})).props("outline no-caps").set_enabled(bool(stated))
+
+    def _choose(self, event: events.ValueChangeEventArguments) -> None:
+        self.name = event.value
+        self.show.refresh()
+
+    def _step(self, names: list[str], by: int) -> None:
+        self.name = names[(names.index(self.name) + by) % len(names)]
+        self.show.refresh()
+
+    def _typed(self, view: CurveView, key: str, value: float | None) -> None:
+        values = stated_values(view)
+        if value is None:
+            values.pop(key, None)
+            values.pop(_PAIRS.get(key, ""), None)
+        else:
+            values[key] = value / _MICRO
+        self._state(view, values)
+
+    def _moved(self, view: CurveView, event: events.GenericEventArguments) -> None:
+        """A line was moved: state its value, with the standard deviation that stood beside it."""
+        if (change := moved_line(event.args)) is None:
+            return
+        key, value = change
+        values, sd = stated_values(view) | {key: value}, _PAIRS.get(key)
+        if sd is not None and sd not in values and (known := found_values(view)[sd]) is not None:
+            values[sd] = known
+        self._state(view, values)
+
+    def _state(self, view: CurveView, values: dict[str, float]) -> None:
+        try:
+            self.workspace.state(view, values)
+        except ImrError as error:
+            ui.notify(str(error), type="negative", multi_line=True)
+        self.show.refresh()
+
+
+def stated_values(view: CurveView) -> dict[str, float]:
+    """What is stated about a curve, by the names of the JSON file."""
+    override = view.trace.given.override
+    values = {key: getattr(override, field, None) for key, field in OVERRIDES.items()}
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def found_values(view: CurveView) -> dict[str, float | None]:
+    """What counts for a curve, stated or found, by the names of the JSON file."""
+    marks = view.landmarks
+    return {key: view.window_end_s if key == "window_end_s" else getattr(marks, field) for key, field in OVERRIDES.items()}
+
+
+def moved_line(change: dict[str, Any]) -> tuple[str, float] | None:
+    """Which line was moved where, from what the figure reports; in SI units; None for any other change.
+
+    >>> from imr_torch.app.view_curves import moved_line
+    >>> moved_line({"shapes[2].y0": 40.0, "shapes[2].y1": 44.0, "shapes[2].x0": 0.1})
+    ('Rinf_m', 4.2e-05)
+    """
+    for number, key in enumerate(_LINES):
+        axis = "x" if key.endswith("_s") else "y"
+        ends = [change[f"shapes[{number}].{axis}{end}"] for end in (0, 1) if f"shapes[{number}].{axis}{end}" in change]
+        if ends:
+            return key, round(sum(ends) / len(ends), 4) / _MICRO
+    return None
+
+
+def figure(view: CurveView) -> dict[str, Any]:
+    """The frames in us and um with the lines, as plotly takes it."""
+    time, radius = (_MICRO * view.trace.time_s).tolist(), (_MICRO * view.trace.radius_m).tolist()
+    first, last = view.fitted or (len(time), len(time) - 1)
+    chosen = set(range(first, last + 1))
+    found = found_values(view)
+    data = [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": name,
+            "x": [t for i, t in enumerate(time) if (i in chosen) == inside],
+            "y": [r for i, r in enumerate(radius) if (i in chosen) == inside],
+            "marker": {"size": 6, "color": colour},
+        }
+        for name, inside, colour in (("fitted frames", True, _FITTED), ("frames not fitted", False, _OUTSIDE))
+    ]
+    lines = [
+        _line(key, found[key], colour, dash)
+        for key, colour, dash in zip(
+            _LINES, (_MAXIMUM, _MAXIMUM, _REST, _WINDOW), ("solid", "solid", "dash", "dot"), strict=True
+        )
+    ]
+    layout = {
+        "margin": {"l": 56, "r": 16, "t": 10, "b": 46},
+        "xaxis": {"title": {"text": "time (us)"}},
+        "yaxis": {"title": {"text": "R (um)"}, "rangemode": "tozero"},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"},
+        "shapes": lines,
+    }
+    config = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["select2d", "lasso2d", "autoScale2d"]}
+    return {"data": data, "layout": layout, "config": config}
+
+
+def _line(key: str, value: float | None, colour: str, dash: str) -> dict[str, Any]:
+    """A line that can be moved; one of a value that is not known is not seen."""
+    at = 0.0 if value is None else _MICRO * value
+    place = (
+        {"x0": at, "x1": at, "y0": 0, "y1": 1, "yref": "paper"}
+        if key.endswith("_s")
+        else {"y0": at, "y1": at, "x0": 0, "x1": 1, "xref": "paper"}
+    )
+    upright = {"textangle": 0, "textposition": "start"} if key.endswith("_s") else {"textposition": "end"}
+    label = {"text": _NAMES[key], "font": {"size": 11, "color": colour}, **upright}
+    line = {"color": colour, "width": 2, "dash": dash}
+    return {"type": "line", "editable": value is not None, "visible": value is not None, "line": line, "label": label} | place

@@ -1,0 +1,25 @@
+"""Runs ``imr-torch app``; its help and options are in :mod:`imr_torch.cli.options.app`."""
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+from imr_torch.errors import InputDataError
+
+
+def run(args: argparse.Namespace) -> None:
+    """Serve the application until it is interrupted.
+
+    Raises:
+        InputDataError: if the extra is not installed, or folder or port cannot be used.
+    """
+    if args.json:
+        raise InputDataError("--json has no effect on app, whose runs write their own; leave it out.")
+    if not 0 <= args.port < 65536:
+        raise InputDataError(f"--port is {args.port}; expected 1 to 65535, or 0 for a free one.")
+    try:
+        from imr_torch.app.server import serve
+    except ModuleNotFoundError as error:
+        raise InputDataError(f'{error.name} is missing; install the extra: pip install "imr-torch[app]"') from None
+    args.terminal.clear()
+    serve(Path(args.out), port=args.port, browser=not args.no_browser, say=partial(print, flush=True))

@@ -1,0 +1,190 @@
+"""The application in a real browser, from the address that the command prints to the downloaded result."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from imr_torch import example_gel
+
+pytest.importorskip("nicegui", reason="the extra 'app' is not installed")
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
+
+
+@dataclass
+class App:
+    """A running application and a browser page that shows it."""
+
+    address: str
+    folder: Path
+    page: "playwright.Page"
+    hosts: set[str] = field(default_factory=set)
+    errors: list[str] = field(default_factory=list)
+
+    def tab(self, name: str) -> None:
+        self.page.get_by_role("tab", name=re.compile(rf"\d {name}")).click()
+        self.page.wait_for_timeout(300)
+
+    def sees(self, text: str | re.Pattern[str], seconds: float = 20.0) -> None:
+        self.page.get_by_text(text).first.wait_for(timeout=1000 * seconds)
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    folder = tmp_path_factory.mktemp("application") / "gel"
+    command = [sys.executable, "-m", "imr_torch", "app", "--no-browser", "--out", str(folder)]
+    outside = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}  # NiceGUI looks at these
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=outside)
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        found = re.match(r"Open (http://127\.0\.0\.1:\d+/\?token=\S+)", line)
+        assert found, f"{line}{process.stderr.read() if process.poll() is not None and process.stderr else ''}"
+        yield found[1], folder
+    finally:
+        process.terminate()
+        process.wait(30)
+
+
+@pytest.fixture(scope="module")
+def app(address: tuple[str, Path]) -> Iterator[App]:
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=BROWSER, args=FLAGS)
+        page = browser.new_page(viewport={"width": 1280, "height": 900}, accept_downloads=True)
+        made = App(address[0], address[1], page)
+        page.on("request", lambda request: made.hosts.add(request.url.split("/")[2] if "//" in request.url else ""))
+        page.on("console", lambda message: made.errors.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: made.errors.append(str(error)))
+        page.goto(address[0])
+        made.sees("Take the example gel")
+        yield made
+        browser.close()
+
+
+def test_that_nobody_gets_in_without_the_token(address: tuple[str, Path]) -> None:
+    for path in ("", "?token=guess", "result/001_characterize/page"):
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(address[0].partition("?")[0] + path)
+
+
+def test_that_the_token_does_not_stay_in_the_address(app: App) -> None:
+    assert "token" not in app.page.url
+
+
+def test_that_bad_files_are_named_and_good_ones_read(app: App, tmp_path: Path) -> None:
+    (tmp_path / "bad.csv").write_text("time,radius\n0,1\n")
+    files = [tmp_path / "bad.csv", example_gel(), example_gel().with_suffix(".json")]
+    app.page.set_input_files("input[type=file]", files)
+    app.sees("4 curve(s)")
+    app.sees(re.compile(r"files/bad\.csv: .*"))
+    app.page.get_by_role("button", name="Set bad.csv aside").click()
+    app.page.get_by_text(re.compile(r"files/bad\.csv: .*")).wait_for(state="detached")
+    assert {path.name for path in (app.folder / "files").iterdir()} == {"example_gel.csv", "example_gel.json"}
+
+
+def override(app: App) -> dict[str, float]:
+    entries = json.loads((app.folder / "files" / "example_gel.json").read_text())["experiments"]
+    return next((entry["override"] for entry in entries if "override" in entry), {})
+
+
+def test_that_a_line_can_be_moved_and_a_value_typed_and_both_taken_back(app: App) -> None:
+    app.tab("Curves")
+    app.sees(re.compile(r"shot_1: Rmax .* \(as given\)"))
+    line = app.page.locator(".shapelayer path").nth(2)  # R_inf
+    box = line.bounding_box()
+    assert box is not None
+    start = (box["x"] + 0.7 * box["width"], box["y"] + 0.5 * box["height"])
+    app.page.mouse.move(*start)
+    app.page.mouse.down()
+    app.page.mouse.move(start[0], start[1] - 40, steps=8)
+    app.page.mouse.up()
+    app.sees(re.compile(r"shot_1: Rmax .* R_inf/Rmax 0\.\d+ \(as stated\)"))
+    stated = override(app)
+    assert set(stated) == {"Rinf_m", "Rinf_sd_m"}
+    assert 5e-5 < stated["Rinf_m"] < 1.2e-4
+    app.page.get_by_label("last fitted time (us)").fill("40")
+    app.sees(re.compile(r"38 of 67 frames are fitted"))
+    assert override(app)["window_end_s"] == pytest.approx(4e-5)
+    app.page.get_by_role("button", name="As found").click()
+    app.sees(re.compile(r"shot_1: Rmax .* \(as given\)"))
+    assert override(app) == {}
+
+
+def test_that_the_medium_is_stated_and_a_wrong_one_refused(app: App) -> None:
+    app.tab("Medium")
+    field = app.page.get_by_label("density (kg/m^3)", exact=True)
+    field.fill("1")
+    app.page.get_by_role("button", name="State it").click()
+    app.sees(re.compile(r"density is 1; expected"))
+    field.fill("1040")
+    app.page.get_by_label("sd of density").fill("5")
+    app.page.get_by_role("button", name="State it").click()
+    app.sees(re.compile(r"Medium: density 1040 \+- 5 kg/m\^3"))
+
+
+def run(app: App, seconds: float = 240.0) -> None:
+    app.page.get_by_role("button", name="Run", exact=True).click()
+    app.page.get_by_role("button", name="See the result").wait_for(timeout=1000 * seconds)
+
+
+def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded(app: App, tmp_path: Path) -> None:
+    app.tab("Run")
+    for name in ("newtonian", "gen_qkv"):
+        app.page.locator(".q-chip", has_text=re.compile(f"^{name}")).locator(".q-chip__icon--remove").click()
+    app.page.get_by_label("Bubble physics").click()
+    app.page.get_by_role("option", name="polytropic").click()
+    app.sees(re.compile(r"characterize files/example_gel\.csv --medium density=1040:5 --models nhkv --physics polytropic"))
+    run(app)
+    app.page.get_by_role("button", name="See the result").click()
+    app.page.frame_locator("iframe").get_by_role("heading", name="The gel").wait_for(timeout=20000)
+    with app.page.expect_download() as download:
+        app.page.get_by_text("Download everything (zip)").click()
+    download.value.save_as(tmp_path / "all.zip")
+    with zipfile.ZipFile(tmp_path / "all.zip") as file:
+        names = {name.partition("/")[2] for name in file.namelist()}
+    assert {"page.html", "characterize.json", "report.txt", "run.json", "output.txt"} <= names
+
+
+def test_that_the_next_design_builds_on_the_result(app: App) -> None:
+    app.tab("Run")
+    app.page.get_by_role("button", name="Next design").click()
+    app.sees(re.compile(r"design --belief results/001_characterize/characterize\.json"))
+    app.page.get_by_label("Designs evaluated").fill("3")
+    run(app)
+    app.page.get_by_role("button", name="See the result").click()
+    app.page.frame_locator("iframe").get_by_text(re.compile(r"Shoot We \d+")).wait_for(timeout=20000)
+
+
+def test_that_a_run_can_be_stopped(app: App) -> None:
+    app.tab("Run")
+    app.page.get_by_role("button", name="Diagnose").click()
+    app.page.get_by_role("button", name="Run", exact=True).click()
+    app.page.get_by_role("button", name="Stop").click(timeout=20000)
+    app.sees(re.compile(r"003_diagnose: stopped"), 60.0)
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+@pytest.mark.parametrize("name", ["Files", "Curves", "Medium", "Run", "Results"])
+def test_that_no_tab_is_wider_than_the_screen(app: App, name: str, width: int) -> None:
+    app.page.set_viewport_size({"width": width, "height": 900})
+    app.tab(name)
+    app.page.wait_for_timeout(500)
+    assert app.page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_that_nothing_was_loaded_from_elsewhere_and_nothing_failed_in_the_browser(app: App) -> None:
+    assert app.hosts <= {app.address.split("/")[2], ""}
+    assert app.errors == []

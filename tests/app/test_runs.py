@@ -1,0 +1,115 @@
+"""Commands of the application: what they write is kept, how they end is known, and they can be stopped."""
+
+import io
+import json
+import time
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from imr_torch.app.commands import Characterize, Data, Design, Diagnose
+from imr_torch.app.runs import Run, Runs
+from imr_torch.app.workspace import Workspace
+from imr_torch.cli import parser
+from imr_torch.errors import InputDataError
+
+
+def runs(tmp_path: Path) -> Runs:
+    return Runs(Workspace(tmp_path).folder)
+
+
+def simulate(folder: str) -> list[str]:
+    values = ["--set", "G=5000,mu=0.1", "--we", "300", "--physics", "polytropic"]
+    return ["simulate", "--model", "nhkv", *values, "--json", f"{folder}/simulate.json"]
+
+
+def slow(folder: str) -> list[str]:
+    return ["campaign", "--case", "stiff-pa", "--designs", "9", "--physics", "polytropic", "--out", f"{folder}/campaign"]
+
+
+def finished(run: Run) -> None:
+    run.wait(120.0)
+    assert not run.running
+
+
+def test_that_a_run_leaves_its_files_output_and_record(tmp_path: Path) -> None:
+    all_runs = runs(tmp_path)
+    run = all_runs.start(simulate, "simulate")
+    finished(run)
+    (result,) = all_runs.results()
+    assert (result.name, result.status, result.outcome) == ("001_simulate", 0, "done")
+    assert "smallest sampled R*" in result.text("output.txt")
+    assert result.command.startswith("imr-torch simulate --model nhkv")
+    with zipfile.ZipFile(io.BytesIO(result.archive())) as file:
+        assert {"001_simulate/simulate.json", "001_simulate/run.json"} <= set(file.namelist())
+        assert json.loads(file.read("001_simulate/simulate.json"))["model"] == "nhkv"
+
+
+def test_that_a_refused_command_keeps_its_message(tmp_path: Path) -> None:
+    all_runs = runs(tmp_path)
+    finished(all_runs.start(lambda _: ["characterize", "files/none.csv"], "characterize"))
+    (result,) = all_runs.results()
+    assert (result.status, result.outcome) == (2, "the input cannot be used")
+    assert "none.csv" in result.text("messages.txt")
+
+
+def test_that_a_run_shows_progress_and_can_be_stopped_and_only_one_runs(tmp_path: Path) -> None:
+    all_runs = runs(tmp_path)
+    run = all_runs.start(slow, "campaign")
+    until = time.monotonic() + 120.0
+    while run.part is None and run.running and time.monotonic() < until:
+        time.sleep(0.1)
+    assert run.part is not None
+    assert 0.0 < run.part < 1.0
+    with pytest.raises(InputDataError, match="A command is running"):
+        all_runs.start(simulate, "simulate")
+    assert all_runs.results() == []
+    run.stop()
+    finished(run)
+    (result,) = all_runs.results()
+    assert (result.status, result.outcome) == (130, "stopped")
+
+
+def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_path: Path) -> None:
+    folder = tmp_path / "results" / "007_diagnose"
+    folder.mkdir(parents=True)
+    (folder / "run.json").write_text('{"arguments": ["diagnose"], "started": "2026-01-01", "status": null}')
+    all_runs = runs(tmp_path)
+    assert [result.outcome for result in all_runs.results()] == ["interrupted"]
+    assert all_runs.next_folder("design") == "results/008_design"
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        Characterize(Data(["files/a.csv", "files/b.csv"])),
+        Characterize(
+            Data(["files/a.csv"], "radius=R,radius_unit=um", "water,temperature=310", ["x", "y"]),
+            models=("nhkv",),
+            known="G=2770",
+            physics="polytropic",
+            collapses=1,
+            rest_radius="0.2:0.05",
+            further=("population", "profile", "scores"),
+            robust=True,
+        ),
+        Diagnose(
+            Data(["files/a.csv"]), base="zener", known="G=1", physics="polytropic", collapses=3, rest_radius="0.2:0", most=2
+        ),
+        Design(),
+        Design("results/1/characterize.json", (), "water", "polytropic", "200:300", "0.15:0.2", "model", 3, 7),
+    ],
+)
+def test_that_a_form_makes_arguments_that_the_command_takes(form: Characterize | Diagnose | Design) -> None:
+    read = vars(parser().parse_args(form.arguments("results/001")))
+    assert read["html"] == "results/001/page.html"
+    for name in ("known", "physics", "collapses", "rest_radius", "base", "most", "target", "evaluations"):
+        if hasattr(form, name):
+            assert read[name] == (getattr(form, name) or read[name])
+    data = getattr(form, "data", None)
+    if data is not None:
+        assert read["files"] == list(data.files)
+        assert (read["medium"] or "", read["layout"] or "") == (data.medium, data.layout)
+    else:
+        assert (read["q"], read["belief"] or "") == (form.count, form.belief)
