@@ -7,9 +7,10 @@ page that is loaded again shows the same.
 import secrets
 import socket
 import threading
+import time
 import webbrowser
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 from fastapi import Response
@@ -62,7 +63,8 @@ def serve(folder: Path, *, port: int = 0, browser: bool = True, say: Callable[[s
         _add_routes(runs)
         app.on_shutdown(lambda: _end(runs))
         address = f"http://{HOST}:{number}/?token={token}"
-        app.on_startup(lambda: _started(address, folder, say, browser))
+        waiting = threading.Thread(target=_announce, args=(address, number, folder, say, browser), daemon=True)
+        app.on_startup(waiting.start)
         ui.run(
             lambda: _page(workspace, runs),
             host=HOST,
@@ -90,10 +92,15 @@ def _free_port(port: int) -> int:
         return probe.getsockname()[1]
 
 
-def _started(address: str, folder: Path, say: Callable[[str], None], browser: bool) -> None:
+def _announce(address: str, port: int, folder: Path, say: Callable[[str], None], browser: bool) -> None:
+    """Say the address as soon as the server answers, and open it."""
+    while True:
+        with suppress(OSError), closing(socket.create_connection((HOST, port), timeout=1.0)):
+            break
+        time.sleep(0.05)
     say(f"Open {address}\nFiles and results are kept in {folder}. End with Ctrl-C.")
     if browser:
-        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+        webbrowser.open(address)
 
 
 def _end(runs: Runs) -> None:
@@ -154,8 +161,12 @@ def _page(workspace: Workspace, runs: Runs) -> None:
         "Run": RunView(workspace, runs, go=go),
         "Results": ResultsView(runs),
     }
-    with ui.tab_panels(tabs, value="Files", animated=False).classes("w-full"):
-        for name in names:
-            with ui.tab_panel(name).classes("q-px-none"):
-                views[name].show()
-    tabs.on_value_change(lambda event: views[str(event.value)].show.refresh())
+    content = ui.column().classes("w-full q-pt-md")
+
+    def draw(name: str) -> None:
+        content.clear()
+        with content:
+            views[name].show()
+
+    tabs.on_value_change(lambda event: draw(str(event.value)))
+    tabs.set_value("Files")

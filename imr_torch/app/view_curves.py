@@ -175,7 +175,11 @@ def figure(view: CurveView) -> dict[str, Any]:
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"},
         "shapes": lines,
     }
-    config = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["select2d", "lasso2d", "autoScale2d"]}
+    config = {
+        "displaylogo": False,
+        "edits": {"shapePosition": True},
+        "modeBarButtonsToRemove": ["select2d", "lasso2d", "autoScale2d"],
+    }
     return {"data": data, "layout": layout, "config": config}
 
 
@@ -190,4 +194,4 @@ def _line(key: str, value: float | None, colour: str, dash: str) -> dict[str, An
     upright = {"textangle": 0, "textposition": "start"} if key.endswith("_s") else {"textposition": "end"}
     label = {"text": _NAMES[key], "font": {"size": 11, "color": colour}, **upright}
     line = {"color": colour, "width": 2, "dash": dash}
-    return {"type": "line", "editable": value is not None, "visible": value is not None, "line": line, "label": label} | place
+    return {"type": "line", "visible": value is not None, "line": line, "label": label} | place

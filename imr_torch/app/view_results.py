@@ -40,7 +40,7 @@ class ResultsView:
         if result.status != 0:
             ui.label(f"{result.outcome}. {result.text('messages.txt')}").classes("problem").style("white-space: pre-wrap")
         if result.page:
-            ui.element("iframe").props(f'src="/result/{result.name}/page" title="Page of {result.name}" sandbox').classes(
+            ui.element("iframe").props(f'src="/result/{result.name}/page" title="Page of {result.name}" sandbox=""').classes(
                 "page"
             )
         output = result.text("output.txt")

@@ -28,7 +28,7 @@ _DEFAULTS: dict[str, Any] = {
     "experiments": [],
     "base": "nhkv",
     "most": EFFECTS_ADDED,
-    "belief": "",
+    "belief": None,  # the latest result, until another is chosen
     "weber_low": 100.0,
     "weber_high": 1000.0,
     "rest_low": 0.14,
@@ -119,7 +119,7 @@ class RunView:
         get, settings = self.values, self.workspace.settings
         if self.kind == "design":
             return Design(
-                belief=get["belief"],
+                belief=get["belief"] or "",
                 models=get["models"],
                 medium=settings["medium"],
                 physics=get["physics"],
@@ -170,9 +170,8 @@ class RunView:
             path = result.folder / "characterize.json"
             if path.is_file():
                 earlier[f"results/{result.name}/characterize.json"] = f"what {result.name} learnt"
-        self.values["belief"] = (
-            self.values["belief"] if self.values["belief"] in earlier else list(earlier)[min(1, len(earlier) - 1)]
-        )
+        if self.values["belief"] not in earlier:
+            self.values["belief"] = list(earlier)[min(1, len(earlier) - 1)]
         with ui.row().classes("w-full"):
             self._select("belief", earlier, "What is known before")
             if not self.values["belief"]:

@@ -103,7 +103,7 @@ def override(app: App) -> dict[str, float]:
 def test_that_a_line_can_be_moved_and_a_value_typed_and_both_taken_back(app: App) -> None:
     app.tab("Curves")
     app.sees(re.compile(r"shot_1: Rmax .* \(as given\)"))
-    line = app.page.locator(".shapelayer path").nth(2)  # R_inf
+    line = app.page.locator('.shapelayer path[data-index="2"]')  # R_inf
     box = line.bounding_box()
     assert box is not None
     start = (box["x"] + 0.7 * box["width"], box["y"] + 0.5 * box["height"])
