@@ -2,7 +2,8 @@
 
 One branch per model, each with the groups of the ArviZ schema, so that ``tree["nhkv"]`` is what its functions take. Draws
 come from the weighed sample of a fit, resampled to equal weight; from its Gaussian where it has none. The log likelihood is
-that of whole experiments, so that ArviZ's leave-one-out leaves out an experiment.
+that of whole experiments, so that ArviZ's leave-one-out leaves out an experiment. With a simulator there is a branch ``frames``
+below each model, ``tree["nhkv/frames"]``, for LOO-PIT and predictive checks of single frames (:mod:`imr_torch.export.frames`).
 Needs the extra ``imr-torch[arviz]``.
 """
 
@@ -16,10 +17,12 @@ from torch import Tensor
 from imr_torch.assimilate import Assimilation, ModelFit
 from imr_torch.campaign import Campaign
 from imr_torch.errors import InputDataError, UnsupportedError
+from imr_torch.export.frames import frame_predictions
 from imr_torch.files import write_atomically
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
+from imr_torch.simulate import Simulator
 
 if TYPE_CHECKING:
     from xarray import DataTree, Variable
@@ -28,7 +31,9 @@ Variables = dict[str, "Variable"]
 """The variables of one group, its coordinates among them."""
 
 
-def to_arviz(source: Assimilation | Belief | Campaign, *, seed: int, draws: int = 1000) -> "DataTree":
+def to_arviz(
+    source: Assimilation | Belief | Campaign, *, seed: int, draws: int = 1000, simulator: Simulator | None = None
+) -> "DataTree":
     """The tree of an assimilation, a belief or a campaign.
 
     Args:
@@ -37,6 +42,8 @@ def to_arviz(source: Assimilation | Belief | Campaign, *, seed: int, draws: int 
             its belief if it was read back from its journal), and a branch ``campaign`` with every step.
         seed: of the draws.
         draws: draws per model.
+        simulator: the one that the posterior was made with, for the branch ``frames`` of each weighed model: one bubble a draw
+            and experiment (two engines give the same); None: without it.
 
     Returns:
         A tree whose variables carry their units as attributes and whose dimensions are named.
@@ -58,7 +65,7 @@ def to_arviz(source: Assimilation | Belief | Campaign, *, seed: int, draws: int 
         raise UnsupportedError("to_arviz needs ArviZ; install it with: pip install 'imr-torch[arviz]'.") from None
     if draws < 1:
         raise InputDataError(f"to_arviz: draws is {draws}; at least 1 is needed.")
-    groups = _groups(source, seed, draws)
+    groups = _groups(source, seed, draws, simulator)
     return DataTree.from_dict({f"/{path}": Dataset(variables) for path, variables in groups.items()}, name="imr_torch")
 
 
@@ -82,11 +89,14 @@ def write_netcdf(tree: "DataTree", path: str | Path) -> None:
     write_atomically(Path(path), lambda stream: stream.write(content))
 
 
-def _groups(source: Assimilation | Belief | Campaign, seed: int, draws: int) -> dict[str, Variables]:
+def _groups(
+    source: Assimilation | Belief | Campaign, seed: int, draws: int, simulator: Simulator | None
+) -> dict[str, Variables]:
     """Path of each group and its variables."""
     if isinstance(source, Campaign):
         last = source.steps[-1] if source.steps else None
-        groups = _groups(source.belief if last is None or last.assimilation is None else last.assimilation, seed, draws)
+        inner = source.belief if last is None or last.assimilation is None else last.assimilation
+        groups = _groups(inner, seed, draws, simulator)
         return groups if last is None else groups | {"campaign": _history(source)}
     if isinstance(source, Belief):
         branches = {
@@ -99,7 +109,7 @@ def _groups(source: Assimilation | Belief | Campaign, seed: int, draws: int) -> 
     return {
         f"{fit.model}/{group}": variables
         for fit in source.fits
-        for group, variables in _fit_groups(fit, source.batch, child(seed, "arviz", fit.model), draws).items()
+        for group, variables in _fit_groups(fit, source.batch, child(seed, "arviz", fit.model), draws, simulator).items()
     }
 
 
@@ -123,7 +133,9 @@ def _parameters(part: ModelBelief, controls: Tensor) -> Variables:
     return _draw_axes(len(controls)) | variables
 
 
-def _fit_groups(fit: ModelFit, batch: ExperimentBatch, seed: int, draws: int) -> dict[str, Variables]:
+def _fit_groups(
+    fit: ModelFit, batch: ExperimentBatch, seed: int, draws: int, simulator: Simulator | None
+) -> dict[str, Variables]:
     """All groups of one model's fit."""
     data = {"observed_data": _observed(batch), "constant_data": _constant(batch)}
     sample, source = fit.sample, generator(seed)
@@ -149,7 +161,33 @@ def _fit_groups(fit: ModelFit, batch: ExperimentBatch, seed: int, draws: int) ->
         "posterior": posterior,
         "sample_stats": stats,
         "log_likelihood": _draw_axes(draws) | _experiments(batch) | {"radius": seen},
+        **(_frame_groups(fit, batch, simulator, chosen, seed) if simulator is not None else {}),
     } | data
+
+
+def _frame_groups(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, chosen: Tensor, seed: int
+) -> dict[str, Variables]:
+    """The branch of single frames, one after the other in one dimension, since curves differ in length."""
+    sample = fit.sample
+    assert sample is not None
+    controls, nuisances = sample.controls[chosen], sample.nuisances[chosen]
+    drawn, likelihood = frame_predictions(fit.prior, batch, simulator, controls, nuisances, seed=child(seed, "frames"))
+    experiment, frame = torch.nonzero(batch.mask, as_tuple=True)
+    labels = [e.label for e in batch.experiments]
+    where = {"observation": _variable(("observation",), range(len(frame)))}
+    known = {
+        "experiment": _variable(("observation",), [labels[i] for i in experiment.tolist()]),
+        "time": _variable(("observation",), batch.times[batch.mask], units="t U_c/Rmax"),
+    }
+    axes, dims = _draw_axes(len(chosen)) | where, ("chain", "draw", "observation")
+    return {
+        "frames/posterior": _parameters(fit.prior, fit.prior.unwhitened(controls)),
+        "frames/posterior_predictive": axes | {"radius": _variable(dims, drawn[None], units="R/Rmax")},
+        "frames/log_likelihood": axes | {"radius": _variable(dims, likelihood[None], units="nat")},
+        "frames/observed_data": where | {"radius": _variable(("observation",), batch.mean[batch.mask], units="R/Rmax")},
+        "frames/constant_data": where | known,
+    }
 
 
 def _experiments(batch: ExperimentBatch) -> Variables:

@@ -18,7 +18,8 @@ from imr_torch.simulate.clock import interpolate, memory_share, time_per_tick
 from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.engines import Engine, check_engine, compiles
 from imr_torch.simulate.gas import compression_of
-from imr_torch.simulate.simulator import Solution, Status, solve_batch, solve_bundles
+from imr_torch.simulate.sensitivity import differentiable
+from imr_torch.simulate.simulator import Solution, Status, in_transform, solve_batch, solve_bundles
 from imr_torch.simulate.wall import Head, gas_loss, motion, vapour_factor
 
 _BLOCK = 32  # steps between two looks at who is done
@@ -71,6 +72,8 @@ class PolytropicSimulator:
             ShapeError: if shapes do not fit.
             InputDataError: if a design is impossible, or times are not increasing and finite.
         """
+        if in_transform(parameters, designs, times):
+            return differentiable(self, parameters, designs, times)
         return solve_batch(self._solve, _BATCH, (parameters, designs, times))
 
     def bundle(

@@ -15,9 +15,9 @@ from jaxtyping import Float, Real
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.material import PARAMETERS, dimensionless
-from imr_torch.simulate.simulator import Simulator, Solution, broadcast_batch
+from imr_torch.simulate.simulator import Simulator, Solution, broadcast_batch, in_transform
 from imr_torch.units import Surroundings
 
 DESIGN = ("weber", "rest_radius")
@@ -116,30 +116,72 @@ def differentiable(
     """A solution whose radii carry gradients, by :func:`sensitivities`; arguments as there.
 
     All parameters are differentiated if ``parameters`` requires a gradient, both entries of the design if ``designs``
-    does; time costs nothing. Time scales of 0 have a gradient of 0. Velocity and pressure carry no gradient.
+    does; time costs nothing. Time scales of 0 have a gradient of 0. Velocity and pressure carry no gradient. Inside the
+    transforms of ``torch.func`` (``vmap``, ``jvp``, ``jacfwd``, ``vjp``, ``jacrev``, ``grad``) simulators do this by
+    themselves.
+
+    Raises:
+        UnsupportedError: for nested derivatives, which finite differences cannot give.
+
+    >>> import torch
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> gel, design = PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), torch.tensor([400.0, 0.22]).double()
+    >>> times = torch.tensor([0.0, 0.9]).double()
+    >>> slopes = torch.func.jacfwd(lambda theta: PolytropicSimulator()(theta, design, times).radius)(gel)
+    >>> round(float((slopes[-1] * gel)[PARAMETERS.index(["G"])[0]]), 3)  # dR*/dlnG
+    0.444
     """
+    if len(_derivatives(parameters, designs, times)) > 1:
+        raise UnsupportedError(
+            "Second derivatives of a bubble cannot be taken: its first ones are finite differences. Take differences of "
+            "imr_torch.simulate.sensitivities, or detach what is not to be differentiated twice."
+        )
     shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
-    radius, *others = _Radius.apply(simulator, parameters, designs, times)
+    asked = in_transform(parameters, designs, times)
+    by_gel, by_design = asked or parameters.requires_grad, asked or designs.requires_grad
+    radius, *others, _ = _Radius.apply(simulator, parameters, designs, times, by_gel, by_design)
     fields = [value.reshape((*shape, *value.shape[1:])) for value in (radius, *others)]
     return Solution(times.reshape(*shape, -1), *fields)
 
 
+def _derivatives(*tensors: Tensor) -> set[int]:
+    """Levels of nested derivatives that are to be taken: of each transform of ``torch.func``, and 0 for autograd itself."""
+    functorch, levels = torch._C._functorch, set[int]()  # pyright: ignore[reportAttributeAccessIssue]
+    for tensor in tensors:
+        while functorch.is_functorch_wrapped_tensor(tensor):
+            if functorch.is_gradtrackingtensor(tensor):
+                levels.add(functorch.maybe_get_level(tensor))
+            tensor = functorch.get_unwrapped(tensor)
+        if tensor.requires_grad and torch.is_grad_enabled():
+            levels.add(0)
+    return levels
+
+
 class _Radius(torch.autograd.Function):
-    """Flat parameters, designs and times to the fields of a solution after ``times``, its radius differentiable."""
+    """Flat parameters, designs and times to the fields of a solution after ``times``, its radius differentiable.
+
+    The last output is the Jacobian, ``B x n_t x k``, which the derivatives are made of.
+    """
 
     @staticmethod
-    def forward(ctx: Any, simulator: Simulator, parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[Tensor, ...]:
-        by_gel, by_design = ctx.needs_input_grad[1:3]
+    def forward(
+        simulator: Simulator, parameters: Tensor, designs: Tensor, times: Tensor, by_gel: bool, by_design: bool
+    ) -> tuple[Tensor, ...]:
         names = (*(PARAMETERS.names if by_gel else ()), *(DESIGN if by_design else ()))
         solution, jacobian = sensitivities(simulator, parameters, designs, times, names=names)
         if by_gel:
             gels = torch.cat((parameters, designs.to(parameters)), 1)
             jacobian = torch.where(_singular(gels)[:, None, : len(names)], 0.0, jacobian)
         others = (solution.velocity, solution.bubble_pressure, solution.status, solution.steps)
-        ctx.mark_non_differentiable(*others)
-        ctx.save_for_backward(jacobian, solution.velocity)
-        ctx.gels = len(PARAMETERS) if by_gel else 0
-        return solution.radius, *others
+        return solution.radius, *others, jacobian
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
+        ctx.mark_non_differentiable(*output[1:])
+        ctx.save_for_backward(output[-1], output[1])
+        ctx.save_for_forward(output[-1], output[1])
+        ctx.gels = len(PARAMETERS) if inputs[4] else 0
 
     @staticmethod
     @once_differentiable
@@ -151,4 +193,31 @@ class _Radius(torch.autograd.Function):
         by_gel, by_design = columns[:, : ctx.gels], columns[:, ctx.gels :]
         needed = ctx.needs_input_grad
         by_time = torch.where(asked, gradient * velocity, 0.0)
-        return None, by_gel if needed[1] else None, by_design if needed[2] else None, by_time if needed[3] else None
+        found = by_gel if needed[1] else None, by_design if needed[2] else None, by_time if needed[3] else None
+        return None, *found, None, None
+
+    @staticmethod
+    def jvp(ctx: Any, *tangents: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        jacobian, velocity = ctx.saved_tensors
+        by_gel, by_design = jacobian[..., : ctx.gels], jacobian[..., ctx.gels :]
+        change = torch.zeros_like(velocity)
+        for slopes, tangent in ((by_gel, tangents[1]), (by_design, tangents[2])):
+            if tangent is not None:  # the derivatives of failed members are NaN, and count only if asked for
+                parts = torch.where(tangent[:, None] != 0.0, slopes * tangent[:, None], 0.0)
+                change = change + parts.sum(-1)
+        if tangents[3] is not None:
+            change = change + torch.where(tangents[3] != 0.0, velocity * tangents[3], 0.0)
+        return change, None, None, None, None, None
+
+    @staticmethod
+    def vmap(  # pyright: ignore[reportIncompatibleMethodOverride]
+        info: Any, in_dims: tuple[Any, ...], simulator: Simulator, *inputs: Any
+    ) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
+        """One more dimension of the batch."""
+        tensors, flags = inputs[:3], inputs[3:]
+        moved = [
+            x.expand(info.batch_size, *x.shape) if dim is None else x.movedim(dim, 0)
+            for x, dim in zip(tensors, in_dims[1:4], strict=True)
+        ]
+        outputs = _Radius.apply(simulator, *(x.flatten(0, 1) for x in moved), *flags)
+        return tuple(x.unflatten(0, (info.batch_size, -1)) for x in outputs), (0,) * len(outputs)

@@ -266,6 +266,20 @@ def check_designs(designs: Real[Tensor, "*batch 2"]) -> None:
         )
 
 
+def in_transform(*tensors: Tensor) -> bool:
+    """Whether a transform of ``torch.func`` is at work on one of them: its values cannot be looked at.
+
+    >>> import torch
+    >>> from imr_torch.simulate.simulator import in_transform
+    >>> seen = []
+    >>> _ = torch.func.vmap(lambda x: seen.append(in_transform(x)) or x)(torch.zeros(2))
+    >>> in_transform(torch.zeros(2)), seen
+    (False, [True])
+    """
+    wrapped = torch._C._functorch.is_functorch_wrapped_tensor  # pyright: ignore[reportAttributeAccessIssue]
+    return any(wrapped(x) for x in tensors)
+
+
 def solve_batch(
     solve: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, ...]],
     size: int,

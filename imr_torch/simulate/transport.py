@@ -24,7 +24,7 @@ from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import CONTROL, METHOD, TransportField
 from imr_torch.simulate.rhs import Equations
 from imr_torch.simulate.sensitivity import differentiable
-from imr_torch.simulate.simulator import Solution, Status, solve_batch, solve_bundles
+from imr_torch.simulate.simulator import Solution, Status, in_transform, solve_batch, solve_bundles
 
 _BATCH = 1000  # members integrated together: what leaves early makes no room for others
 _BLOCK = 32  # steps between two looks at who is done
@@ -114,7 +114,8 @@ class TransportSimulator:
             ShapeError: if shapes do not fit.
             InputDataError: if a design is impossible, or times are not increasing and finite.
         """
-        if torch.is_grad_enabled() and any(x.requires_grad for x in (parameters, designs, times)):
+        inputs = (parameters, designs, times)
+        if in_transform(*inputs) or (torch.is_grad_enabled() and any(x.requires_grad for x in inputs)):
             return differentiable(self, parameters, designs, times)
         with torch.no_grad():
             return solve_batch(self._solve, _BATCH, (parameters, designs, times))
