@@ -26,7 +26,7 @@ _EARLIEST_FILMED = -0.4  # an exposure reaches on from its frame, and so does a 
 
 @dataclass(frozen=True)
 class Experiment:
-    """Repeats of one design.
+    """Repeats of one design; kept in float64 on the CPU, where everything above the simulators computes.
 
     Args:
         label: name in reports.
@@ -55,6 +55,8 @@ class Experiment:
     exposure: float = 0.0
 
     def __post_init__(self) -> None:
+        for name in ("times", "radius"):
+            object.__setattr__(self, name, getattr(self, name).to("cpu", torch.float64))
         if self.radius.ndim != 2 or self.times.ndim != 1 or self.radius.shape[1] != self.times.shape[0]:
             raise ShapeError(
                 f"Experiment {self.label!r}: expected radius n_repeats x n_t and times n_t, "

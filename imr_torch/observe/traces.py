@@ -152,7 +152,7 @@ class RadiusTrace:
         if not self.experiment_id:
             raise InputDataError(f"A trace from {self.source} has an empty experiment_id; give every experiment a name.")
         for name in ("time_s", "radius_m"):
-            value = torch.as_tensor(getattr(self, name), dtype=torch.float64)
+            value = torch.as_tensor(getattr(self, name), dtype=torch.float64, device="cpu")
             object.__setattr__(self, name, value)
             if value.ndim != 1:
                 raise InputDataError(f"{self._at(name)} has shape {tuple(value.shape)}; expected one dimension.")

@@ -370,3 +370,12 @@ def test_that_planned_designs_need_no_data():
         Film(designs, times[:1])
     with pytest.raises(InputDataError, match="R_inf"):
         Film(torch.tensor([[400.0, 1.2]]).double(), times[:1])
+
+
+def test_that_curves_of_any_precision_are_kept_in_float64() -> None:
+    times = torch.linspace(0.0, 1.0, 5)
+    shot = Experiment("a", (400.0, 0.22), times, torch.ones(2, 5))
+    assert (shot.times.dtype, shot.radius.dtype) == (torch.float64, torch.float64)
+    assert torch.equal(shot.times, times.double())
+    mixed = ExperimentBatch((shot, Experiment("b", (400.0, 0.22), times.double(), torch.ones(1, 5).double())))
+    assert mixed.times.dtype == torch.float64
