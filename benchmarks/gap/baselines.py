@@ -1,7 +1,8 @@
-"""What one would do without this diagnosis, on the same data: four usual ways, each as its authors mean it to be used.
+"""What one would do without this diagnosis, on the same data: five usual ways, each as its authors mean it to be used.
 
 A chi-square test with the best evidence of a closed library; a Gaussian-process discrepancy of the output (Kennedy & O'Hagan,
-J. R. Stat. Soc. B 63, 2001); a generic state closure; parameters over moving windows (Chu et al. 2026, arXiv 2606.13584).
+J. R. Stat. Soc. B 63, 2001); a generic state closure; parameters over moving windows (Chu et al. 2026, arXiv 2606.13584); the
+discrepancy of the data to the prior predictive, as sbi scores it.
 """
 
 import warnings
@@ -16,6 +17,7 @@ from botorch.models.transforms import Normalize, Standardize
 from gpytorch.mlls import ExactMarginalLogLikelihood
 from torch import Tensor
 
+from benchmarks.gap.mmd import prior_predictive_mmd
 from imr_torch.gap import Effect, GapReport
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.gap.linear import Linearisation
@@ -53,6 +55,7 @@ def baselines(
         "gp_closed": gp_discrepancy(report.batch, line),
         "closure_p": next((b.p_value for b in report.gap.blocks if b.name == STATE_LAW), 1.0),
         "windows_p": min(1.0, len(windows.names) * float(windows.p_constant.min())),
+        "mmd_p": prior_predictive_mmd(report.null.prior, report.batch, simulator, seed=seed),
     }
 
 

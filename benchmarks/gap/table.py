@@ -222,7 +222,15 @@ def _has(key: str) -> Test:
 
 
 def _rejects(name: str) -> Test:
-    return lambda line: line["baselines"][name] < LEVEL
+    return lambda line: line["baselines"].get(name, 1.0) < LEVEL
+
+
+_BASELINES = (
+    ("chi-square", "chi_square_p"),
+    ("state closure", "closure_p"),
+    ("moving windows", "windows_p"),
+    ("discrepancy to the prior predictive (MMD)", "mmd_p"),
+)
 
 
 def _closed_right(line: Line) -> bool:
@@ -288,7 +296,7 @@ SHARES: tuple[tuple[str, Test, Test, Wanted], ...] = (
     ("detected, effect in the library", _kind("effect"), detected, _EACH),
     *(
         (f"baseline {words}: {what}", _kind(kind, _has("baselines")), _rejects(name), wanted)
-        for words, name in (("chi-square", "chi_square_p"), ("state closure", "closure_p"), ("moving windows", "windows_p"))
+        for words, name in _BASELINES
         for what, kind, wanted in (("false alarm", "none", {ALL: (None, None)}), ("detected", "effect", _EACH))
     ),
     ("baseline chi-square + evidence: named right", _kind("effect", _exact, _has("baselines")), _closed_right, _EACH),
