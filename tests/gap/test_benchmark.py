@@ -177,7 +177,7 @@ def test_that_a_run_leaves_one_line_a_set_and_tells_the_three_kinds_apart(made) 
 
 def test_that_parts_and_baselines_are_measured_against_the_truth(made) -> None:
     effect, none, withheld = made
-    assert set(effect["baselines"]) == {"chi_square_p", "closed_set", "gp_closed", "closure_p", "windows_p"}
+    assert set(effect["baselines"]) == {"chi_square_p", "closed_set", "gp_closed", "closure_p", "windows_p", "mmd_p"}
     assert effect["baselines"]["closure_p"] < 0.001
     assert effect["shrinkage_true"] > 0.8
     assert effect["onset_phase"] != "none"
