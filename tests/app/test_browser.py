@@ -1,5 +1,6 @@
 """The application in a real browser, from the address that the command prints to the downloaded result."""
 
+import contextlib
 import json
 import os
 import re
@@ -181,7 +182,9 @@ def test_that_a_run_can_be_stopped(app: App) -> None:
 def test_that_no_tab_is_wider_than_the_screen(app: App, name: str, width: int) -> None:
     app.page.set_viewport_size({"width": width, "height": 900})
     app.tab(name)
-    app.page.wait_for_timeout(500)
+    with contextlib.suppress(playwright.TimeoutError):  # it takes a moment until all is drawn
+        app.page.wait_for_function(f"document.documentElement.scrollWidth <= {width}", timeout=10000)
+    app.page.wait_for_timeout(300)
     assert app.page.evaluate("document.documentElement.scrollWidth") <= width
 
 
