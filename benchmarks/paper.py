@@ -1,15 +1,18 @@
 """The published study again, a figure a subcommand, and the table of what the default does in its place.
 
+  python benchmarks/paper.py all --out FOLDER --workers 2      # campaigns of both cases and policies, every figure, the table
   python benchmarks/paper.py bo|ensembles|models|errors|limit --out FOLDER     # computes and draws
   python benchmarks/paper.py search --out FOLDER     # the cheap search against a dearer one; after the campaigns
   python benchmarks/paper.py campaigns --case stiff-pa --policy optimal --seeds 0:5 --designs 3 --out FOLDER
   python benchmarks/paper.py sequence|trajectory|table --out FOLDER      # from the campaigns' journals
 
-Study: Chu, Estrada & Bryngelson, arXiv 2409.00011. Each writes FOLDER/NAME.json (and .png); what is already in FOLDER is not
-computed again, so any of them may be interrupted, and seeds and designs may be added. Truth and inference have full physics.
+Study: Chu, Estrada & Bryngelson, arXiv 2409.00011. Each writes FOLDER/NAME.json (and .png and .pdf, two columns wide); what is
+already in FOLDER is not computed again, so any of them may be interrupted, and seeds and designs may be added. Truth and
+inference have full physics.
 """
 
 import argparse
+from itertools import product
 from pathlib import Path
 
 import paper_campaigns
@@ -34,7 +37,7 @@ FIGURES = {
 def main() -> None:
     """Run the part asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=("campaigns", "table", *FIGURES))
+    parser.add_argument("part", choices=("all", "campaigns", "table", *FIGURES))
     parser.add_argument("--out", metavar="FOLDER", required=True, type=Path)
     parser.add_argument("--case", choices=tuple(CASES), default="stiff-pa")
     parser.add_argument("--policy", choices=tuple(paper_campaigns.POLICIES), default="optimal")
@@ -44,15 +47,18 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
     torch.set_num_threads(1)
-    if args.part == "campaigns":
+    everything = args.part == "all"
+    if everything or args.part == "campaigns":
         first, last = (int(text) for text in args.seeds.split(":"))
-        chosen = (args.case, args.policy, args.mode, range(first, last), args.designs)
-        paper_campaigns.run(args.out, *chosen, workers=args.workers)
-    elif args.part in FIGURES:
-        FIGURES[args.part](args.out)
-    else:
-        document = paper_campaigns.table(args.out)
-        write_json(args.out / "table.json", document)
+        wanted = product(CASES, paper_campaigns.POLICIES) if everything else [(args.case, args.policy)]
+        for case, policy in wanted:
+            chosen = (case, policy, args.mode, range(first, last), args.designs)
+            paper_campaigns.run(args.out, *chosen, workers=args.workers)
+    for name, draw in FIGURES.items():
+        if everything or args.part == name:
+            draw(args.out)
+    if everything or args.part == "table":
+        write_json(args.out / "table.json", paper_campaigns.table(args.out))
 
 
 if __name__ == "__main__":

@@ -24,11 +24,14 @@ from paper_campaigns import PLAN, POLICIES, SEARCH, SIMULATOR, WITHIN, Row, info
 
 from imr_torch.assimilate import PublishedFit, assimilate_published
 from imr_torch.campaign import PAPER_OPTIMAL, ExactLearner, Learner, Observations, Optimal, PaperLearner, Situation
+from imr_torch.cli.figures import save
 from imr_torch.design import DesignSpace, Laplace, PublishedEstimator, gains_of_each
 from imr_torch.files import write_json
 from imr_torch.material import CASES, PARAMETERS, Belief, TruncatedNormal, reference_case
 from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory, collapse_time
 from imr_torch.random import child
+from imr_torch.results import for_publication
+from imr_torch.results.publication import STYLE
 
 CASE = reference_case("stiff-pa")
 RADII = {"985 um, .2887": (985e-6, 0.2887), "387 um, .15": (387e-6, 0.15)}
@@ -38,6 +41,7 @@ NOISES = (0.5, 1.0, 2.0, 4.0)
 LIMIT_WEBERS = (100.0, 150.0, 200.0, 300.0, 400.0, 500.0, 650.0, 800.0, 1000.0)
 LIMIT_RESTS = (0.14, 0.16, 0.18, 0.20, 0.22, 0.24, 0.26, 0.28, 0.30)
 LEARNERS: dict[str, Learner] = {"paper": PaperLearner(), "exact": ExactLearner()}
+plt.rcParams.update(STYLE)
 COLORS = {"optimal": "#0072B2", "random": "#E69F00"}
 
 
@@ -53,11 +57,10 @@ def remembered(folder: Path, name: str, compute: Callable[[], Any]) -> Any:
 
 
 def finish(folder: Path, name: str, document: Any, figure: Figure) -> None:
-    """Write ``NAME.json`` and ``NAME.png``."""
+    """Write ``NAME.json``, ``NAME.png`` and ``NAME.pdf``, two columns wide."""
     write_json(folder / f"{name}.json", document)
-    figure.savefig(folder / f"{name}.png", dpi=150)
-    plt.close(figure)
-    print(f"wrote {folder / name}.json and .png")
+    save(for_publication(lambda: figure, "two"), folder, name)
+    print(f"wrote {folder / name}.json, .png and .pdf")
 
 
 def weber(radius: float) -> float:
@@ -114,7 +117,7 @@ def bo(folder: Path) -> None:
     finish(folder, "bo", rows, figure)
 
 
-def search(folder: Path, seeds: Sequence[int] = range(3)) -> None:
+def search(folder: Path) -> None:
     """Whether the cheap search ends where a dearer one does, for the first and the second design of a campaign.
 
     The dearer one has four times the draws and asks for one design at a time; both ends are judged with 128 fresh common
@@ -122,6 +125,7 @@ def search(folder: Path, seeds: Sequence[int] = range(3)) -> None:
     """
     dear, judge = Optimal(Laplace(draws=64), batch=1), Laplace(draws=128)
     campaigns = study(folder, CASE, "optimal", "exact")
+    seeds = [seed for seed in range(3) if campaigns.open(seed).steps]
 
     def compute(number: int, seed: int) -> dict[str, Any]:
         belief = CASE.prior if number == 1 else campaigns.open(seed).steps[number - 2].belief
