@@ -16,8 +16,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import torch
-
 from imr_torch.assimilate import FitOptions
 from imr_torch.characterization import characterize
 from imr_torch.errors import ImrError, InputDataError
@@ -26,6 +24,7 @@ from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Layout, Statement, TraceSet, find_files, load_traces
 from imr_torch.saved import SavedCharacterization, to_dataframe
 from imr_torch.simulate import Simulator
+from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 if TYPE_CHECKING:
@@ -241,10 +240,9 @@ def run_batch(
     return summary
 
 
+@one_torch_thread()
 def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[str, Any]:
     """The result of one shot as a document, or ``{"error": ...}``: what a worker does."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
     try:
         assert traces is not None
         result = characterize(
@@ -266,8 +264,6 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[st
         return {"error": str(error)}
     except Exception as error:  # whatever a shot does, the others go on
         return {"error": f"{type(error).__name__}: {error}"}
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _spread(

@@ -23,7 +23,7 @@ STAGES = (
     "gap",
     "export",
 )
-BASE = ("errors", "units", "random", "files", "types", "elementary", "labels", "html")
+BASE = ("errors", "units", "random", "files", "types", "threads", "elementary", "labels", "html")
 
 
 def imported(source: str, module: tuple[str, ...], is_package: bool) -> list[tuple[int, str]]:

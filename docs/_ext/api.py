@@ -35,6 +35,7 @@ PACKAGES = {
     "labels": "Names in files and figures",
     "html": "Pages of results",
     "random": "Seeds",
+    "threads": "Threads of tensor operators",
     "types": "Shapes and protocols",
     "errors": "Errors and warnings",
 }

@@ -29,6 +29,7 @@ from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
+from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 _ENOUGH = 0.5  # share of an ensemble that must be simulated
@@ -37,6 +38,7 @@ _LENGTHS = (1.0, 0.5, 0.2, 0.05, 0.0)  # shares of a step at which the exact cos
 _STILL, _SAME = 0.1, 0.1  # posterior standard deviations of the last step, and nats between cycles, of a fit that has converged
 
 
+@one_torch_thread()
 def assimilate_en4dvar(
     belief: Belief,
     batch: ExperimentBatch,

@@ -26,9 +26,11 @@ from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
+from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 
+@one_torch_thread()
 def assimilate(
     belief: Belief,
     batch: ExperimentBatch,

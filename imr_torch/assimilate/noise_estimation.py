@@ -22,6 +22,7 @@ from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise
 from imr_torch.observe.collapse import scatter_of
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
+from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 NOISE_ROUNDS = 2
@@ -33,6 +34,7 @@ _FEWEST = 10
 _GRADIENT, _AGREEMENT = 0.3, 1.0  # tolerances (posterior standard deviations, nats) of all fits but the last
 
 
+@one_torch_thread()
 def assimilate_estimating_noise(
     belief: Belief,
     batch: ExperimentBatch,

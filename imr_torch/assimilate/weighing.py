@@ -29,6 +29,7 @@ from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
+from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 _REFITS = 4  # times that a model is fitted again, at most
@@ -107,6 +108,7 @@ class _State:
         return self.fit.verdict is Verdict.REFUSED
 
 
+@one_torch_thread()
 def weigh(
     assimilation: Assimilation,
     simulator: Simulator,

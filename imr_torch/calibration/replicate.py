@@ -35,6 +35,7 @@ from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory, 
 from imr_torch.random import child, generator
 from imr_torch.select import evidences, update
 from imr_torch.simulate import Simulator
+from imr_torch.threads import one_torch_thread
 
 _ATTEMPTS = 50
 
@@ -121,6 +122,7 @@ class Replicate:
     seconds: float = 0.0
 
 
+@one_torch_thread()
 def calibrate(
     arrangement: Arrangement, simulator: Simulator, numbers: Iterable[int], *, seed: int, infer: Infer | None = None
 ) -> Iterator[Replicate]:

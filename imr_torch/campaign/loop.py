@@ -29,6 +29,7 @@ from imr_torch.errors import ImrError, InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch, collapse_time
 from imr_torch.simulate import Simulator, described
+from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 
@@ -156,6 +157,7 @@ class Campaign:
         """
         return self.ask_several(1, progress=progress)[0]
 
+    @one_torch_thread()
     def ask_several(self, q: int, *, progress: Progress | None = None) -> tuple[Proposal, ...]:
         """Designs to prepare together: each chosen with those before it pending, all under the present belief.
 
@@ -216,6 +218,7 @@ class Campaign:
         known = self._asked(number)
         return None if known is None else self.settings.policy.rebuild(known, self.settings.space, self.seed)
 
+    @one_torch_thread()
     def tell(self, *experiments: Experiment, progress: Progress | None = None) -> Step:
         """Record what was measured, with its achieved design, and update the belief.
 
@@ -301,6 +304,7 @@ class Campaign:
                 progress(f"learning from experiment {', '.join(map(str, waiting))}, told before")
             self.learn(progress=progress)
 
+    @one_torch_thread()
     def learn(self, *, progress: Progress | None = None) -> Step:
         """Learn from all experiments so far and record the belief, unless that was done; what :meth:`tell` does last.
 

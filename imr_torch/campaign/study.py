@@ -10,12 +10,10 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, as_completed
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from imr_torch.campaign.loop import Campaign
@@ -25,6 +23,7 @@ from imr_torch.material import Belief
 from imr_torch.observe import Experiment, SimulatedLaboratory
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
+from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 
@@ -178,21 +177,10 @@ def _attempt(study: Study, seed: int, designs: int, home: int) -> Outcome:
     if os.getpid() == home and threading.current_thread() is not threading.main_thread():
         raise UnsupportedError("run_campaigns was given threads, which share BoTorch's generator; give it processes.")
     before, started, error = len(study.open(seed).experiments), time.process_time(), None
-    with _one_thread():
+    with one_torch_thread():
         try:
             study.run(seed, designs)
         except Exception as problem:
             error = f"{type(problem).__name__}: {problem}"
     after = len(study.open(seed).experiments)
     return Outcome(seed, after, after - before, time.process_time() - started, error)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Rounding must not depend on how many threads a machine has, and workers share its cores."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -49,11 +49,13 @@ from imr_torch.population import SCALE, Population, fit_shots, infer_population
 from imr_torch.random import child
 from imr_torch.select import Evidence, PredictiveScore, cross_validate, evidences, sum_over_folds, update
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
+from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 _REFITS = 3  # times that bad frames are left out and the fit repeated
 
 
+@one_torch_thread()
 def characterize(
     traces: TraceSet,
     *,

@@ -18,6 +18,7 @@ from imr_torch.design.optimizer import Cost, DesignOptimizer, Recommendation, St
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.random import child
+from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 _SMALLEST_VARIANCE = 1e-8  # nats^2: draws may agree exactly, and a known noise of 0 is no noise model
@@ -59,6 +60,7 @@ class DesignSearch:
         return sum(self.increments)
 
 
+@one_torch_thread()
 def search_design(
     acquisition: ExpectedInformationGain,
     *,

@@ -23,6 +23,7 @@ from imr_torch.material import LIBRARY, Effect, ModelBelief, library, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, PolytropicSimulator, Simulator, TransportSimulator, with_inner
+from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 _NO_GAP = 0.5  # probability of the base model alone from which on there is no gap
@@ -98,6 +99,7 @@ class GapReport:
         return sound
 
 
+@one_torch_thread()
 def diagnose(
     experiments: Sequence[Experiment],
     *,

@@ -25,6 +25,7 @@ from imr_torch.material import LIBRARY
 from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
+from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 MOST = 4
@@ -63,6 +64,7 @@ class Parts:
     acts: WhereItActs | None = None
 
 
+@one_torch_thread()
 def examine(
     report: GapReport,
     simulator: Simulator,

@@ -23,6 +23,7 @@ from imr_torch.population.quadrature import MOST
 from imr_torch.population.result import BayesFactor, Population, ScaleCheck, Trend, scatter_interval
 from imr_torch.population.sampling import Problem, WeighedPopulation, jackknife_error, sample_population
 from imr_torch.random import child, generator
+from imr_torch.threads import one_torch_thread
 
 SCALE = 0.3
 """Scale of the half-normal prior of each scatter: of ln G, ln mu, and of the control of other parameters."""
@@ -31,6 +32,7 @@ _DRAWS = 4000
 _FEWEST_FOR_TREND = 4
 
 
+@one_torch_thread()
 def infer_population(
     fits: Sequence[Assimilation],
     *,

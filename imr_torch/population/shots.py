@@ -16,6 +16,7 @@ from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, fit_noise
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
+from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 _OPTIONS = SearchOptions(starts=2)
@@ -23,6 +24,7 @@ _GRADIENT, _AGREEMENT = 0.3, 1.0  # tolerances (posterior standard deviations, n
 _SAMPLES = 256
 
 
+@one_torch_thread()
 def fit_shots(
     prior: ModelBelief,
     experiments: Sequence[Experiment],

@@ -21,6 +21,7 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.select.evidence import evidences, log_evidence
 from imr_torch.simulate import Simulator
+from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 _ALONE = 5  # up to as many experiments each is held out alone; of more, a quarter at a time
@@ -112,6 +113,7 @@ def default_folds(count: int) -> list[list[int]]:
     return [list(range(start, count, _FOLDS)) for start in range(_FOLDS)]
 
 
+@one_torch_thread()
 def cross_validate(
     assimilation: Assimilation,
     simulator: Simulator,

@@ -1,0 +1,31 @@
+"""Fits and designs compute with one thread of PyTorch and leave as many as they found, also after an error."""
+
+import pytest
+import torch
+
+from imr_torch import load_traces
+from imr_torch.assimilate import SearchOptions, assimilate
+from imr_torch.errors import InputDataError
+from imr_torch.simulate import Solution
+from imr_torch.threads import one_torch_thread
+from tests.linear import LinearSimulator, experiments, prior
+
+
+def test_that_a_fit_sees_one_thread_and_the_caller_its_own() -> None:
+    seen = set()
+
+    class Watching(LinearSimulator):
+        def __call__(self, *arguments: torch.Tensor) -> Solution:
+            seen.add(torch.get_num_threads())
+            return super().__call__(*arguments)
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        assimilate(prior(("nhkv",)), experiments(1), Watching(), seed=0, options=SearchOptions(scouts=8, starts=2))
+        assert (seen, torch.get_num_threads()) == ({1}, 2)
+        with pytest.raises(InputDataError), one_torch_thread():
+            load_traces("nowhere.csv")
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
