@@ -211,8 +211,8 @@ class ImportanceSample:
     ) -> tuple[Float[Tensor, "controls"], Float[Tensor, "controls controls"]]:
         """Mean and covariance of the posterior, from those of a Gaussian near it.
 
-        What is added is the difference between two weighings of the same draws, by the posterior and by the Gaussian, so most of
-        the chance in them cancels, and all of it where the Gaussian is the posterior.
+        What is added is the difference between two weighings of the same draws, by the posterior and by the Gaussian, so most
+        of the chance in them cancels, and all of it where the Gaussian is the posterior.
 
         Args:
             mean: ``d`` tensor.
