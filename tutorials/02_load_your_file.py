@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import torch
 from scipy.io import savemat
 
 from imr_torch import example_gel
@@ -82,7 +83,10 @@ result = characterize(chosen, prior=prior, estimate_noise=not SMOKE, options=opt
 print(result.report())
 
 # %%
-best = result.posterior.best.model
-band = predictive_band(result.assimilation, result.posterior, TransportSimulator(), best, draws=10 if SMOKE else 100)
-ax = plot_experiment(result.experiments[0], (band[0][0], band[1][0], band[2][0]))
+# the prediction is drawn at times between the frames too, since the collapse is shorter than the distance of two frames
+best, last = result.posterior.best.model, float(result.experiments[0].times.max())
+times = torch.linspace(0.0, last, 60 if SMOKE else 500, dtype=torch.float64).expand(len(result.experiments), -1)
+draws = 10 if SMOKE else 100
+band = predictive_band(result.assimilation, result.posterior, TransportSimulator(), best, draws=draws, times=times)
+ax = plot_experiment(result.experiments[0], (band[0][0], band[1][0], band[2][0]), times=times[0])
 ax.figure.savefig(OUT / "fit.png")

@@ -74,4 +74,4 @@ plot_reliability(result).figure.savefig(OUT / "reliability.png")
 
 # %%
 sure = replace(mine, learn=lambda experiments: ExperimentBatch(experiments, Noise(scale=0.5)))
-judge(list(calibrate(sure, PolytropicSimulator(), range(count), seed=0)))
+places = judge(list(calibrate(sure, PolytropicSimulator(), range(count), seed=0)))

@@ -102,7 +102,7 @@ print(describe(report, examine(report, simulator, seed=0)))
 
 # %% [markdown]
 # ## And in a fit
-# `nhkv+fading_pressure` is a model like any other, in Python and on the command line, wherever this file has been imported.
+# `nhkv+fading_pressure` is a model like any other, in every Python program that has imported this file before.
 
 # %%
 batch = ExperimentBatch(experiments, laboratory.noise)

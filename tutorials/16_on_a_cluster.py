@@ -79,14 +79,12 @@ print(again.report())
 
 # %% [markdown]
 # ## With SLURM
-# Without Dask, one job of an array for each file is enough, because each fits by itself. Save as `shots.sh`, and submit
-# with `sbatch --array=1-$(ls day1/*.csv | wc -l) shots.sh`:
+# Without Dask, one job of an array for each file is enough, because each fits by itself:
 #
 # ```shell
-# #!/bin/bash
-# #SBATCH --cpus-per-task=1 --mem=4G --time=00:20:00
-# FILE=$(ls day1/*.csv | sed -n "${SLURM_ARRAY_TASK_ID}p")
-# imr-torch batch "$FILE" --out "results/$SLURM_ARRAY_TASK_ID" --workers 1
+# sbatch --array=1-$(ls day1/*.csv | wc -l) --cpus-per-task=1 --mem=4G --time=00:20:00 --wrap '
+#   FILE=$(ls day1/*.csv | sed -n "${SLURM_ARRAY_TASK_ID}p")
+#   imr-torch batch "$FILE" --out "results/$SLURM_ARRAY_TASK_ID" --workers 1'
 # ```
 #
 # Compile the bubble solver once before (`imr-torch demo --short` on one node), or every job does so by itself. If nodes

@@ -76,8 +76,9 @@ print(f"stop: {reason}")
 
 # %% [markdown]
 # ## Look
-# Bands hold 90 %; the dashed lines are the truth. The median is soon known to a few per cent. The scatter takes more shots,
-# since each of them is one draw from the population.
+# Bands hold 90 %; the dashed lines are the truth. The scatter of the gels limits what is known of the median: with a
+# standard deviation of 20 % from shot to shot, the median of eight shots has one of 20 %/sqrt(8) = 7 %, even if each shot
+# showed its gel without error. The scatter itself takes more shots still, since each of them is one draw from the population.
 
 # %%
 figure, axes = plt.subplots(2, 2, figsize=(7, 4.6), layout="constrained", sharex=True)
@@ -88,8 +89,8 @@ for column, name in enumerate(MEDIAN):
         axes[row, column].fill_between(shots, low, high, color=PALE)
         axes[row, column].plot(shots, middle, "o-", color=MODEL, ms=4)
         axes[row, column].axhline(truth, color=TRUTH, ls="--")
-        unit = f" ({PARAMETERS[name].unit})" if what == "median" else " of its logarithm"
-        axes[row, column].set_ylabel(f"{what} of {name}{unit}")
+        label = f"median of {name} ({PARAMETERS[name].unit})" if what == "median" else f"scatter of ln {name}"
+        axes[row, column].set_ylabel(label)
     axes[1, column].set_xlabel("shots")
 
 # %% [markdown]
