@@ -1,6 +1,7 @@
 # make demo           sets up, characterises the example gel and runs a simulated campaign; results in imr_torch_demo/
 # make test           sets up and passes the tests
 # make docs           sets up and builds the documentation; open docs/_build/html/index.html
+# make locks          is constraints.txt a complete lock for every supported Python and system? Installs nothing
 # make release-check  builds the packages, installs them elsewhere and tries them
 PYTHON ?= python3
 VENV := .venv
@@ -8,7 +9,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PIP := PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: setup demo test lint docs benchmark release-check clean
+.PHONY: setup demo test lint docs locks benchmark release-check clean
 .DELETE_ON_ERROR:
 
 setup: $(READY)
@@ -37,6 +38,10 @@ docs: setup
 
 benchmark: setup
 	$(BIN)/python benchmarks/solver.py
+
+locks: setup
+	$(PIP) -e ".[release]"
+	$(BIN)/python -m benchmarks.locks
 
 release-check: setup
 	$(PIP) -e ".[release]"

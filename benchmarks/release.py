@@ -3,11 +3,11 @@
   python -m benchmarks.release [--draft] [--dist DIR]
 
 In this order: version in pyproject.toml, CITATION.cff and CHANGELOG.md; wheel and sdist, built in isolation; their metadata
-(twine) and files; pinned versions, which must have packages for every supported Python; a fresh environment outside the
-checkout with the wheel alone, where ``imr-torch --version``, ``python -m imr_torch``, the help of every subcommand and
-``imr-torch demo --short`` must run. --draft does not ask CHANGELOG.md for a heading of the version, since changes stand under
-"Unreleased" until the day of the release. Needs the extra ``release`` and a package index; takes three to five minutes, most of
-them for the download of PyTorch. Exit status 1 if a check fails.
+(twine) and files; pinned versions, which must be a complete lock for every supported Python and system (benchmarks/locks.py);
+a fresh environment outside the checkout with the wheel alone, where ``imr-torch --version``, ``python -m imr_torch``, the help
+of every subcommand and ``imr-torch demo --short`` must run. --draft does not ask CHANGELOG.md for a heading of the version,
+since changes stand under "Unreleased" until the day of the release. Needs the extra ``release`` and a package index; takes five
+to eight minutes, most of them for the download of PyTorch and for the index. Exit status 1 if a check fails.
 """
 
 import argparse
@@ -21,6 +21,8 @@ import venv
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+
+from benchmarks.locks import problems
 
 ROOT = Path(__file__).resolve().parents[1]
 IN_WHEEL = ("imr_torch/py.typed", "imr_torch/data/example_gel.csv", "imr_torch/data/example_gel.json", "imr_torch/cli/demo.py")
@@ -38,9 +40,6 @@ IN_SDIST = (
     "docs/conf.py",
     *IN_WHEEL,
 )
-PYTHONS = ("3.11", "3.12", "3.13", "3.14")
-"""Supported versions of Python, for each of which ``constraints.txt`` must hold."""
-EXTRAS = "app,arviz,cluster,completion,nuts,xlsx"
 FROM_DEMO = (
     "gel.html",
     "campaign.html",
@@ -108,21 +107,6 @@ def contents(wheel: Path, sdist: Path) -> list[str]:
     return wrong
 
 
-def pinned(wheel: Path) -> list[str]:
-    """Versions of Python for which the pinned versions do not fit together, or lack a binary package."""
-    wrong = []
-    for number in PYTHONS:
-        place = ("--python-version", number, "--only-binary=:all:", "--target", "unused", "--ignore-installed")
-        try:
-            ran(*_PIP, "--dry-run", *place, "-c", ROOT / "constraints.txt", f"{wheel}[{EXTRAS}]")
-        except RuntimeError as error:
-            wrong.append(f"Python {number}: {error}")
-    return wrong
-
-
-_PIP = (sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
-
-
 def installed(wheel: Path, home: Path) -> list[str]:
     """What does not work of the wheel in a fresh environment, run from a folder without the checkout."""
     venv.create(home / "venv", with_pip=True)
@@ -159,7 +143,7 @@ def main(argv: list[str] | None = None) -> int:
         print(f"built {wheel.name} ({wheel.stat().st_size / 1e3:.0f} kB), {sdist.name} ({sdist.stat().st_size / 1e3:.0f} kB)")
         failed += _checked("metadata", lambda: metadata(wheel, sdist))
         failed += _checked("files", lambda: contents(wheel, sdist))
-        failed += _checked("pinned versions", lambda: pinned(wheel))
+        failed += _checked("pinned versions", lambda: problems()[0])
         failed += _checked("fresh installation", lambda: installed(wheel, home))
     print("ready" if not failed else f"{failed} check(s) failed")
     return int(failed > 0)
