@@ -76,9 +76,7 @@ def united(resolutions: list[Pins]) -> Pins:
     for one in resolutions:
         for name, version in one.items():
             if found.setdefault(name, version) != version:
-                raise ValueError(
-                    f"{name}: one resolution has {found[name]}, another {version}; pin one that fits both."
-                )
+                raise ValueError(f"{name}: one resolution has {found[name]}, another {version}; pin one that fits both.")
     return dict(sorted(found.items()))
 
 

@@ -173,6 +173,11 @@ def _link(name: str) -> str:
     return f"[{MATERIALS[key].title} (model)](model-{key}.md)" if kind else f"[{key}](effect-{file_name(key)}.md)"
 
 
+def equations(text: str) -> str:
+    """The parts of a formula, one below the other, so that they fit on a narrow screen."""
+    return "\n\n".join(f"$$\n{part.strip()}\n$$" for part in text.split(r", \qquad"))
+
+
 def model_page(model: Material, found: LookAlikes) -> str:
     """The page of a constitutive model."""
     doc = (type(model).__doc__ or "").strip()
@@ -184,9 +189,7 @@ def model_page(model: Material, found: LookAlikes) -> str:
 
 ## Equation
 
-$$
-{MODELS[model.key]}
-$$
+{equations(MODELS[model.key])}
 
 $S$ is the stress integral, which adds to the pressure of the liquid at the wall; $\\lambda = R/R_\\infty$. See
 [what a model says](index.md#what-a-model-says).
@@ -218,9 +221,7 @@ def effect_page(effect: Effect, found: LookAlikes) -> str:
 
 {needs}{same}## What it changes
 
-$$
-{EFFECTS[effect.name]}
-$$
+{equations(EFFECTS[effect.name])}
 
 {_laws(effect)}
 ## Parameters
@@ -266,11 +267,10 @@ def _laws(effect: Effect) -> str:
 def index_page() -> str:
     """The table of contents of the catalogue."""
     models = table(
-        ("model", "key", "parameters", "in a sentence"),
+        ("model, and its name in commands", "parameters", "in a sentence"),
         (
             (
-                f"[{m.title}](model-{m.key}.md)",
-                f"`{m.key}`",
+                f"[{m.title}](model-{m.key}.md) `{m.key}`",
                 ", ".join(m.names),
                 (type(m).__doc__ or "").strip().splitlines()[0],
             )
