@@ -226,7 +226,7 @@ def plot_probabilities(beliefs: Sequence[tuple[str, Belief]], *, ax: Axes | None
     for i, key in enumerate(keys):
         heights = [belief.probabilities[key] for _, belief in beliefs]
         places = [j + (i - (len(keys) - 1) / 2) * width for j in range(len(beliefs))]
-        ax.bar(places, heights, width, label=beliefs[0][1][key].material.title)
+        ax.bar(places, heights, width, color=CYCLE[i % len(CYCLE)], label=beliefs[0][1][key].material.title)
     ax.set(xticks=range(len(beliefs)), xticklabels=[plain(label) for label, _ in beliefs], ylim=(0, 1.02), ylabel="probability")
     ax.legend(frameon=False, fontsize=8)
     return ax

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+import torch
+
 from imr_torch.campaign import Campaign, PopulationLearner, Proposal
 from imr_torch.characterization import LEVELS, intervals, predictive_band
 from imr_torch.material import Belief
@@ -11,6 +13,7 @@ from imr_torch.plot import information_map
 
 _ROUND = 7  # digits of what is only drawn
 _REPEATS = 12  # curves of one experiment that are drawn
+_POINTS = 400  # of a predictive band
 
 
 def campaign_document(
@@ -99,13 +102,13 @@ def _curves(campaign: Campaign) -> list[dict[str, Any]]:
     last, best = (campaign.steps[-1] if campaign.steps else None), campaign.belief.best.model
     if last is None or last.assimilation is None:
         return []
-    outer, band = (
-        campaign.simulator.conditions.surroundings,
-        predictive_band(last.assimilation, last.belief, campaign.simulator, best),
-    )
+    outer, shot = campaign.simulator.conditions.surroundings, last.assimilation.batch.experiments
+    ends = [(float(x.times[0]), float(x.times[-1])) for x in shot]
+    drawn = torch.stack([torch.linspace(*end, _POINTS, dtype=torch.float64) for end in ends])  # frames do not show a collapse
+    band = predictive_band(last.assimilation, last.belief, campaign.simulator, best, times=drawn)
     found = []
-    for e, (number, experiment) in enumerate(zip(campaign.numbers, last.assimilation.batch.experiments, strict=True)):
-        size, count = float(outer.max_radius(experiment.design[0])), len(experiment.times)
+    for e, (number, experiment) in enumerate(zip(campaign.numbers, shot, strict=True)):
+        size = float(outer.max_radius(experiment.design[0]))
         found.append(
             {
                 "number": number,
@@ -117,8 +120,8 @@ def _curves(campaign: Campaign) -> list[dict[str, Any]]:
                 "t_star": experiment.times.tolist(),
                 "R_star": [_rounded(row) for row in experiment.radius[:_REPEATS]],
                 "repeats": experiment.repeats,
-                "band": {"model": best, "levels": LEVELS}
-                | {name: _rounded(values[e][:count]) for name, values in zip(("low", "median", "high"), band, strict=True)},
+                "band": {"model": best, "levels": LEVELS, "t_star": _rounded(drawn[e])}
+                | {name: _rounded(values[e]) for name, values in zip(("low", "median", "high"), band, strict=True)},
             }
         )
     return found

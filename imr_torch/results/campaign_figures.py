@@ -67,11 +67,12 @@ def campaign_curve_figure(curve: Mapping[str, Any]) -> Figure:
     """The curves of one experiment with the predictive band."""
     figure, ax = plt.subplots(figsize=(5.8, 3.8), layout="constrained")
     t, band = np.asarray(curve["t_star"]), {k: _floats(curve["band"][k]) for k in ("low", "median", "high")}
+    drawn = np.asarray(curve["band"].get("t_star", t))  # older documents have the band at the frames
     alpha = 0.5 if curve["repeats"] == 1 else 0.15
     for row in curve["R_star"]:
         ax.plot(t, _floats(row), ".", ms=3, color=DATA, alpha=alpha)
-    ax.fill_between(t, band["low"], band["high"], color=MODEL, alpha=0.25, lw=0, label="90 % predictive")
-    ax.plot(t, band["median"], color=MODEL, lw=1.5, label="median")
+    ax.fill_between(drawn, band["low"], band["high"], color=MODEL, alpha=0.25, lw=0, label="90 % predictive")
+    ax.plot(drawn, band["median"], color=MODEL, lw=1.5, label="median")
     ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
     ax.legend(frameon=False, fontsize=8)
     with_lengths(ax, curve["Rmax_m"], curve["time_scale_s"])
