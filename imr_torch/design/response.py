@@ -29,6 +29,14 @@ class Shot:
         designs: (We, R_inf*).
         simulator: makes the bubbles.
         plan: how they are observed.
+
+    >>> from imr_torch.design import Plan, Shot
+    >>> from imr_torch.material import reference_case
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> designs = torch.tensor([[400.0, 0.2], [700.0, 0.25]], dtype=torch.float64)
+    >>> shot = Shot(reference_case("soft-pa").prior, designs, PolytropicSimulator(), Plan())
+    >>> shot.film.times.shape  # 81 frames of each design
+    torch.Size([2, 81])
     """
 
     belief: Belief

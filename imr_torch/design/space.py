@@ -33,6 +33,11 @@ class DesignSpace:
         designs: whole designs that can be asked for, in place of settings.
         scatter: relative standard deviations of the achieved We and R_inf* about what was asked (log-normal); what is
             achieved is measured.
+
+    >>> from imr_torch.design import DesignSpace
+    >>> space = DesignSpace(weber=(150.0, 600.0), weber_settings=(200.0, 400.0))
+    >>> space.bounds.tolist(), space.fixed_features
+    ([[150.0, 0.14], [600.0, 0.3]], [{0: 200.0}, {0: 400.0}])
     """
 
     weber: tuple[float, float] = (100.0, 1000.0)

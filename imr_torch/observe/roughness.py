@@ -17,7 +17,8 @@ import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe import Experiment, Noise
+from imr_torch.observe.experiments import Experiment
+from imr_torch.observe.noise import Noise
 
 CORRELATION_TIME = 0.14
 """Shortest correlation time seen between repeats of public records, in t*."""
@@ -51,7 +52,7 @@ def noise_of_traces(experiments: Sequence[Experiment], *, correlation_time: floa
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
-    >>> from imr_torch.gap import noise_of_traces
+    >>> from imr_torch.observe import noise_of_traces
     >>> from imr_torch.material import PARAMETERS
     >>> from imr_torch.observe import SimulatedLaboratory
     >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=1)
