@@ -68,9 +68,9 @@ class MooneyRivlin(Material):
 
 register(MooneyRivlin())
 
-# ---------------------------------------------------------------- an effect: a pressure afar that fades, with its own shape
+# ---------------------------------------------------------------- an effect: a far-field pressure that fades, with its own shape
 
-PARAMETERS.register(Parameter("surge", "pressure afar that fades, over p_inf", "1", "none", -0.5, 0.5, 0.0))
+PARAMETERS.register(Parameter("surge", "far-field pressure that fades, over p_inf", "1", "none", -0.5, 0.5, 0.0))
 
 
 def surge(time: Scalar, surge: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -79,7 +79,9 @@ def surge(time: Scalar, surge: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     return value, -2.0 * value, 4.0 * value
 
 
-register_effect(Effect("surge", "the pressure afar fades", "driving", {"surge": TruncatedNormal(0.0, 0.1)}, far_field=surge))
+register_effect(
+    Effect("surge", "the far-field pressure fades", "driving", {"surge": TruncatedNormal(0.0, 0.1)}, far_field=surge)
+)
 
 
 def main(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""What is known exactly about a linear-Gaussian experiment, by dense algebra: the measure of every estimator."""
+"""What is known exactly about a linear-Gaussian experiment, by dense algebra; estimators are tested against it."""
 
 import torch
 from jaxtyping import Float

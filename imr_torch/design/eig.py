@@ -82,11 +82,11 @@ def gains_of_each(
     The same as :func:`expected_information_gain` of one after the other with one seed.
 
     Args:
-        belief: as there.
+        belief: what is thought of the gel now.
         designs: (We, R_inf*).
-        simulator: as there.
-        plan: as there.
-        estimator: as there.
+        simulator: makes the bubbles.
+        plan: how they will be observed.
+        estimator: how the gain is estimated; ``Laplace()`` if None.
         seed: of draws and noise.
 
     Returns:

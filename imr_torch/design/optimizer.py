@@ -172,7 +172,7 @@ class DesignOptimizer:
         self.train_Yvar = torch.cat((self.train_Yvar, Yvar.to(self.train_Yvar)))
 
     def model(self) -> SingleTaskGP:
-        """The surrogate fitted to everything told so far, of the utility per cost; blind to the scatter of designs."""
+        """The surrogate fitted to everything told so far, of the utility per cost; without the scatter of achieved designs."""
         return self._fit(Normalize(d=2, bounds=self.space.bounds))
 
     def recommend(self) -> Recommendation:
@@ -212,7 +212,8 @@ class DesignOptimizer:
                 self.train_X,
                 value,
                 variance.clamp_min(_LEAST_NOISE * float(value.var())),
-                covar_module=get_matern_kernel_with_gamma_prior(2),  # without a prior, a flat axis has no length scale
+                # an axis along which the utility does not change has no length scale unless there is a prior of it
+                covar_module=get_matern_kernel_with_gamma_prior(2),
                 input_transform=transform,
                 outcome_transform=Standardize(m=1),
             )

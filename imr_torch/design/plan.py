@@ -29,7 +29,7 @@ class Plan:
     >>> from imr_torch.design import Plan
     >>> plan = Plan(repeats=10, collapses=1)
     >>> plan.window(0.6 + 0.4 * torch.cos(3.0 * plan.times)).sum()  # frames up to the first minimum of a curve
-    tensor(21)
+    tensor(22)
     """
 
     times: Float[Tensor, "frames"] = field(default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64))

@@ -1,4 +1,6 @@
-"""What the camera would see of draws of a belief, and how it changes with gel and nuisances: the only use of the simulator.
+"""What the camera would see of draws of a belief, and how it changes with gel and nuisances.
+
+Of this stage, only this module calls the simulator.
 
 Controls ``v`` are those in which the belief is a standard normal, so a sensitivity is per standard deviation of what is
 believed now, whatever the units of the parameters.

@@ -1,8 +1,8 @@
-"""The designs a laboratory can shoot: a box in (We, R_inf*), perhaps with settings, and how far the shot then misses.
+"""The designs a laboratory can shoot: a box in (We, R_inf*), perhaps with settings, and the scatter of achieved designs.
 
 Nozzles, lenses and laser energies come in steps: either axis can be a list of settings, or the whole space a list of
 designs. What is asked for is not what is achieved; ``scatter`` says by how much, and the search then looks for the design
-whose *achieved* neighbourhood tells most.
+that is most informative on average over what is then achieved.
 """
 
 import math

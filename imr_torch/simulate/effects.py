@@ -149,18 +149,18 @@ register_effect(
     )
 )
 
-FAR_FIELD_PRESSURE = _parameter("far_field_pressure", "pressure afar beyond p_inf, over p_inf", -0.5, 0.5)
+FAR_FIELD_PRESSURE = _parameter("far_field_pressure", "far-field pressure beyond p_inf, over p_inf", -0.5, 0.5)
 
 
 def far_field_pressure(setting: "Setting", excess: Scalar) -> "Setting":
-    """Pressure afar is not ``p_inf``."""
+    """Far-field pressure is not ``p_inf``."""
     return setting._replace(far=setting.far + excess)
 
 
 register_effect(
     Effect(
         "far_field_pressure",
-        "pressure afar is not p_inf",
+        "far-field pressure is not p_inf",
         "liquid",
         {"far_field_pressure": TruncatedNormal(0.0, 0.015)},
         setting=far_field_pressure,

@@ -1,6 +1,6 @@
 """A simulator spread over workers: any ``concurrent.futures.Executor``, one thread a worker, lost workers retried.
 
-A batch is cut into chunks of a size that the number of workers has no say in, so results are the same bit for bit on any
+A batch is cut into chunks whose size does not depend on the number of workers, so results are the same bit for bit on any
 number of workers, whatever the order in which chunks return: that of the simulator called chunk by chunk. Pools of
 processes, of threads, of ``dask.distributed`` (``client.get_executor()``) and of ``mpi4py.futures`` all serve. Arguments
 and results travel as NumPy arrays; workers compute on the CPU.
@@ -197,7 +197,7 @@ class ParallelSimulator:
         size = _even(len(parameters) // unit, max(1, self.chunk // unit)) * unit
         cuts = [tuple(x[i : i + size] for x in arrays) for i in range(0, len(parameters), size)]
         tasks = [_Task(self.simulator, cut, width, _here()) for cut in cuts]
-        results = _Errand(tasks, self._pool, self.retries, self.progress).run()
+        results = _Submission(tasks, self._pool, self.retries, self.progress).run()
         parts = [result or _lost(cut[2]) for result, cut in zip(results, cuts, strict=True)]
         fields = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
         return tuple(torch.from_numpy(column).to(parameters.device) for column in fields)
@@ -287,7 +287,7 @@ class _Pool:
             self._made = None
 
 
-class _Errand:
+class _Submission:
     """The tasks of one call, submitted to the pool and retried where they fail.
 
     A broken pool does not say who broke it. All unfinished tasks are then tried together again; once that has failed as

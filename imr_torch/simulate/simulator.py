@@ -68,7 +68,7 @@ class Solution:
 
     Args:
         times: dimensionless (t U_c/Rmax).
-        radius: dimensionless (R/Rmax); NaN where the solve did not get.
+        radius: dimensionless (R/Rmax); NaN at times that the solve did not reach.
         velocity: wall velocity over ``U_c``.
         bubble_pressure: over ``p_inf``.
         status: :class:`Status` values.
@@ -326,7 +326,7 @@ def solve_batch(
 
 
 def _explain(status: Tensor, parameters: Tensor) -> Tensor:
-    """Failures that the gel is to blame for: where a term's energy has no lower bound, it may pull a collapse inwards."""
+    """Failures by the gel's parameters: where a term's energy has no lower bound, it may pull a collapse inwards."""
     theta = dict(zip(PARAMETERS.names, parameters.unbind(1), strict=True))
     failed = (status != Status.DONE) & (status != Status.LOST_WORKER)
     for term in TERMS:
