@@ -29,7 +29,7 @@ from imr_torch.design.response import Response, Shot
 from imr_torch.errors import ConvergenceError
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.lookalike import LIKE
-from imr_torch.gap.score import STATE_LAW, law_steps
+from imr_torch.gap.score import LEAST_LEFT, STATE_LAW, law_steps
 from imr_torch.gap.verdict import OTHER
 from imr_torch.material import LIBRARY, PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import ExperimentBatch, Nuisance, predict
@@ -39,7 +39,6 @@ from imr_torch.simulate import Simulator
 _REFINEMENTS, _CLOSE, _BEHIND = 3, 0.5, 30.0  # as in the estimator of the gain about the model
 _LAWS = {name for step in law_steps() for name in step}
 _LARGEST = 30.0  # sd that a generic stress law changes the data by, at most; it has no typical size
-_LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones
 
 
 def plan_of(batch: ExperimentBatch) -> Plan:
@@ -132,7 +131,7 @@ def unknown_like(leader: str, fit: ModelFit, left: Adequacy) -> Unknown | None:
     rows = torch.stack([row for _, row, _ in references])
     beside = line.project(rows)
     square = beside.square().sum(1)
-    kept = torch.nonzero(square > _LEFT * rows.square().sum(1).clamp_min(1e-300))[:, 0]
+    kept = torch.nonzero(square > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300))[:, 0]
     if not len(kept):
         return None
     laws = torch.tensor([set(step) <= _LAWS for step, *_ in references])

@@ -18,13 +18,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.gap.linear import Linearisation
-from imr_torch.gap.score import ADEQUATE, STATE_LAW, block, log_survival
+from imr_torch.gap.score import ADEQUATE, LEAST_LEFT, STATE_LAW, block, log_survival
 from imr_torch.material import Effect
 from imr_torch.random import child, generator
 
 LIKE = 3.0
 """Standard deviations that one effect must leave of another to be told from it: 4.5 nats on average, or odds of 1 to 90."""
-_LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones
 _LAWS = 28  # random combinations of the generic stress functions
 _OBVIOUS, _OBVIOUS_RANK = 12.0, 3  # standard deviations left that every draw rejects, and the rank of a block that does
 _NOISES = 12  # noise draws for each reference direction
@@ -250,7 +249,7 @@ def _coordinates(rows: Mapping[str, Tensor], generic: Mapping[str, Tensor], line
 def _unit(rows: Tensor, line: Linearisation) -> Tensor:
     """Unit rows of what is left beside the fitted directions; those of which nothing is left are dropped."""
     left = line.project(rows)
-    left = left[left.square().sum(1) > _LEFT * rows.square().sum(1).clamp_min(1e-300)]
+    left = left[left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)]
     return left / left.norm(dim=1, keepdim=True)
 
 

@@ -41,11 +41,12 @@ _LAWS = (
     ("law_velocity_squared", 1e-3),
     ("law_rate_squared", 1e-4),
 )  # of the generic closure, and coefficients at which its directions are taken
+LEAST_LEFT = 1e-4
+"""Part of a direction's square that must be left beside the fitted directions for it to be tested."""
 STATE_LAW = "generic stress law"
 """Name of the block of the generic closure."""
 _SMALL = 0.05  # amplitude of a first start over the effect's own: so near the null fit that a descent ends below that
 _TYPICAL = (0.5, 1.5)  # bounds of that of a second
-_LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones to be tested
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ def promising_starts(effect: Effect, rows: Float[Tensor, "starts rows"], line: L
 def block(name: str, rows: Float[Tensor, "_ rows"], line: Linearisation) -> Block:
     """A block from whitened directions ``k x N``: projected, then reduced to an orthonormal set."""
     left = line.project(rows)
-    kept = left.square().sum(1) > _LEFT * rows.square().sum(1).clamp_min(1e-300)
+    kept = left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)
     left = left[kept]
     if not len(left):
         return Block(name, line.residual.new_zeros(len(line.residual), 0))

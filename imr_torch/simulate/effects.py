@@ -19,11 +19,10 @@ from imr_torch.material import (
     register_effect,
     register_term,
 )
+from imr_torch.material.stress import SMOOTH
 
 if TYPE_CHECKING:
     from imr_torch.simulate.bubbles import Setting
-
-_SMOOTH = 0.02  # velocity below which |U| is rounded off
 
 
 def _parameter(name: str, meaning: str, lower: float, upper: float) -> Parameter:
@@ -97,7 +96,7 @@ def gas_loss(radius: Scalar, velocity: Scalar, rest_radius: Scalar, share: Scala
     """Gas is lost while ``R < R_inf``: ``-n'/n = eta |U|/R (1 - R/R_inf)^2``."""
     depth = 1.0 - radius / rest_radius
     depth = where(real(depth) > 0.0, depth, 0.0)
-    speed = sqrt(velocity * velocity + _SMOOTH * _SMOOTH) - _SMOOTH
+    speed = sqrt(velocity * velocity + SMOOTH * SMOOTH) - SMOOTH
     return share * speed / radius * depth * depth
 
 
@@ -196,7 +195,7 @@ def shape_modes(radius: Scalar, velocity: Scalar, rest_radius: Scalar, energy_lo
     total = radius * radius + rest_radius * rest_radius
     share = energy_loss * rest_radius * rest_radius / total
     square = velocity * velocity
-    speed = sqrt(square + _SMOOTH * _SMOOTH)
+    speed = sqrt(square + SMOOTH * SMOOTH)
     value = -share * velocity * speed
     return value, -2.0 * value * radius * velocity / total, -share * (square / speed + speed)
 

@@ -29,12 +29,11 @@ from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, Inp
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.engines import on_one_thread
 from imr_torch.simulate.sensitivity import differentiable
-from imr_torch.simulate.simulator import Simulator, Solution, Status, in_transform, solve_batch, solve_bundles
+from imr_torch.simulate.simulator import NO_BLOCKS, Simulator, Solution, Status, in_transform, solve_batch, solve_bundles
 from imr_torch.types import Progress
 
 Arrays = tuple[np.ndarray, ...]
 
-_ALL = 1 << 40
 _GUARD = (
     "If the pool never worked: simulators must survive pickling, and a script that starts processes needs an "
     'if __name__ == "__main__".'
@@ -169,7 +168,7 @@ class ParallelSimulator:
         inputs = (parameters, designs, times)
         if in_transform(*inputs) or (torch.is_grad_enabled() and any(x.requires_grad for x in inputs)):
             return differentiable(self, parameters, designs, times)
-        return solve_batch(self._solve, _ALL, (parameters, designs, times))
+        return solve_batch(self._solve, NO_BLOCKS, (parameters, designs, times))
 
     def bundle(
         self,
@@ -178,7 +177,7 @@ class ParallelSimulator:
         times: Real[Tensor, "*#batch frames"],
     ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`. Raises as a call does."""
-        return solve_bundles(self._solve, _ALL, (parameters, designs, times))
+        return solve_bundles(self._solve, NO_BLOCKS, (parameters, designs, times))
 
     def close(self) -> None:
         """Shut down the pool that the function made, if any; a later call makes another."""

@@ -18,6 +18,9 @@ from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
 from imr_torch.material import PARAMETERS, TERMS
 from imr_torch.simulate.conditions import Conditions
 
+NO_BLOCKS = 1 << 40
+"""Members in a block, for solvers that take a whole batch at once."""
+
 EARLIEST = -0.5
 """``t*`` before which there is no bubble: ``t* = 0`` is the maximum radius, and growth is not simulated."""
 
