@@ -197,7 +197,7 @@ def _fit(posterior: Posterior, state: _State, options: En4DVarOptions, seed: int
         cost=costs[-1],
         prediction=posterior.predict(state.point),
         certificate=Certificate(
-            step, agreement, options.iterations * options.cycles, failed, step < _STILL and agreement < _SAME
+            step, agreement, options.iterations * options.cycles, failed, step < _STILL and agreement < _SAME, compared="cycles"
         ),
     )
 
