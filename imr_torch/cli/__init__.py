@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
         return _ended(f"not converged: {error}", 1)
     except ImrError as error:
         return _ended(str(error), 2)
-    except BrokenPipeError:  # whoever read the output has gone
+    except BrokenPipeError:  # what reads the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:  # a full disk, a folder without permission

@@ -320,8 +320,8 @@ class Bubbles:
     def take(self, members: Int[Tensor, "kept"]) -> "Bubbles":
         """The sub-batch of the members with these indices.
 
-        Terms that none of them has are left out, or a few slow members would pay for everybody's. What has rows of the
-        state stays: memory, and gas that is lost.
+        Terms that act in none of them are left out, which saves their cost. What has rows of the state stays: memory, and
+        gas that is lost.
         """
         parameters = self.parameters[:, members]
         acting = PARAMETERS.acting(parameters)

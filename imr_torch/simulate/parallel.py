@@ -289,7 +289,7 @@ class _Pool:
 class _Submission:
     """The tasks of one call, submitted to the pool and retried where they fail.
 
-    A broken pool does not say who broke it. All unfinished tasks are then tried together again; once that has failed as
+    A broken pool does not say which task broke it. All unfinished tasks are then tried together again; once that has failed as
     often as retries allow they go one at a time, so that a failure is known to be a task's own.
     """
 
