@@ -124,7 +124,7 @@ def _information(part: ModelBelief, gels: Response, linear: Linear) -> Tensor:
     """
     if part.cloud is None:
         return linear.information
-    at = part.mean + gels.controls @ part.chol.mT
+    at = part.unwhitened(gels.controls)
     closest = torch.cdist(at, part.cloud.controls, compute_mode="donot_use_mm_for_euclid_dist").argmin(1)
     before = part.chol.mT @ part.cloud.precisions[closest] @ part.chol
     gained = linear.chol @ linear.chol.mT - torch.eye(before.shape[-1], dtype=before.dtype)
