@@ -171,16 +171,17 @@ class ModelFit:
 
     @property
     def posterior(self) -> ModelBelief:
-        """The belief after the data: the fitted Gaussian or, if ``REPAIRED``, moments of the weighed draws and 64 of these.
+        """The belief after the data, in controls a Gaussian.
 
-        Where the draws integrate over the noise, a ``TRUSTED`` Gaussian has the change that makes in its mean and covariance,
-        and a ``REFUSED`` one that to first order.
+        ``TRUSTED``: the fitted one with its mean and covariance corrected by the weighed draws. ``REPAIRED``: with the moments
+        of the weighed draws, and 64 of these for its shape. Else the fitted one; where the noise is uncertain, integrated over
+        it to first order.
         """
         if self.verdict is not Verdict.REPAIRED:
             mean, chol = self.mean, self.chol
             noise = None if self.sample is None else self.sample.noise
             if self.sample is not None and self.verdict is Verdict.TRUSTED:
-                mean, chol = self.sample.widened(mean, chol)
+                mean, chol = self.sample.corrected(mean, chol)
             elif noise is not None:
                 mean, chol = noise.nodes.about.mean, noise.nodes.about.chol
             return self._believed(mean, chol @ chol.mT)

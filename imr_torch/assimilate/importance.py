@@ -206,22 +206,25 @@ class ImportanceSample:
         """The draws weighed with the noise that the fit was made with."""
         return self if self.noise is None else replace(self, noise=None)
 
-    def widened(
+    def corrected(
         self, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]
     ) -> tuple[Float[Tensor, "controls"], Float[Tensor, "controls controls"]]:
-        """A Gaussian of the posterior under the fit's noise, with what uncertain noise changes in mean and covariance.
+        """Mean and covariance of the posterior, from those of a Gaussian near it.
 
-        Both changes are differences between two weightings of the same draws, so most of the chance in them cancels.
+        What is added is the difference between two weighings of the same draws, by the posterior and by the Gaussian, so most
+        of the chance in them cancels, and all of it where the Gaussian is the posterior.
 
         Args:
             mean: ``d`` tensor.
-            chol: Cholesky factor of the covariance.
+            chol: Cholesky factor of the covariance; so is the second that is returned.
         """
-        if self.noise is None:
-            return mean, chol
-        fitted = self.as_fitted
-        before, after = (torch.linalg.cholesky(x.covariance) for x in (fitted, self))
-        return mean + self.mean - fitted.mean, chol @ torch.linalg.solve_triangular(before, after, upper=False)
+        whitened = torch.linalg.solve_triangular(chol, (self.controls - mean).mT, upper=False)
+        weights = torch.softmax(-0.5 * whitened.square().sum(0) - self.log_proposal, dim=0)
+        centre = weights @ self.controls
+        deviation = self.controls - centre
+        before = torch.linalg.cholesky((weights[:, None] * deviation).mT @ deviation)
+        after = torch.linalg.cholesky(self.covariance)
+        return mean + self.mean - centre, chol @ torch.linalg.solve_triangular(before, after, upper=False)
 
     @property
     def noise_intervals(self) -> dict[str, list[float]] | None:

@@ -38,7 +38,12 @@ def test_that_a_gaussian_posterior_is_trusted_in_one_round(simple: Assimilation)
     assert after.sample.effective_samples > 200.0
     assert after.trust.startswith("intervals trusted: weighed draws confirm the fitted Gaussian (k ")
     assert after.trust.endswith("of 256)")
-    assert torch.equal(after.posterior.mean, before.posterior.mean)
+    sds = torch.linalg.norm(before.posterior.chol, dim=1)
+    moved = (after.posterior.mean - before.posterior.mean).abs() / sds
+    assert float(moved.max()) < 0.03  # what chance leaves of a correction that is not needed; .06 by weighed draws alone
+    torch.testing.assert_close(
+        torch.linalg.norm(after.posterior.chol, dim=1) / sds, torch.ones(2).double(), rtol=0.0, atol=0.03
+    )
     assert simple.fits[0].sample is None
 
 
