@@ -82,8 +82,8 @@ def parts_of(space):
 class Work(NamedTuple):
     """Arrays for bundles of ``w`` bubbles with ``K`` memory states; most are written anew at every step.
 
-    A state of length ``nx`` is (R, U, ln P, tau_w), and then ``tau``, ``C``, ``theta`` and memory; each part ends with zeros, so
-    that all begin at multiples of eight. ``n'`` is ``n`` padded to a multiple of eight, and ``fields`` is ``2n' + m'``.
+    A state of length ``nx`` is (R, U, ln P, tau_w), and then ``tau``, ``C``, ``theta`` and memory; each part ends with zeros
+    so that all begin at multiples of eight. ``n'`` is ``n`` padded to a multiple of eight, and ``fields`` is ``2n' + m'``.
 
     Args:
         state: ``w x nx``; ``fresh`` likewise, the states after a step.
@@ -177,7 +177,7 @@ def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> tuple[np.
 
 
 class Point(NamedTuple):
-    """What holds at one state: of the wall, pressure of the mixture, its rate, and slopes of ``tau``, ``C`` and ``theta`` there."""
+    """What holds at one state: of the wall, pressure of the mixture, its rate, and the slopes of the fields there."""
 
     wall: Wall
     radius: float
@@ -268,9 +268,7 @@ def field_slopes(point, space, work, member, setup):
         work.coupling[0, i], work.coupling[1, i] = s.coupling, s.coupling_slope
     outer = work.outer[0]
     for i in range(m):
-        g = gel_slopes(
-            space.stretching[i], space.shear[i], outer[i], outer[outer_bends + i], radius, velocity, wall, b, c
-        )
+        g = gel_slopes(space.stretching[i], space.shear[i], outer[i], outer[outer_bends + i], radius, velocity, wall, b, c)
         factors[6, i], factors[7, i], factors[8, i] = g.first, g.second, 0.0
         through = (g.second * space.outside[0, outer_bends + i] + g.first * space.outside[0, i]) / wall.conductivity
         by_gel[0, i], by_gel[1, i], by_gel[2, i] = g.radius, g.velocity, pressure * g.pressure

@@ -102,9 +102,7 @@ def total(typing: Any, value: Any) -> Any:
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         (rest,), half = args, _WIDTH // 2
         while half:
-            low, high = (
-                builder.shuffle_vector(rest, rest, _lanes(range(first, first + half))) for first in (0, half)
-            )
+            low, high = (builder.shuffle_vector(rest, rest, _lanes(range(first, first + half))) for first in (0, half))
             rest, half = builder.fadd(low, high), half // 2
         return builder.extract_element(rest, ir.Constant(ir.IntType(32), 0))
 
