@@ -16,6 +16,7 @@ from numba.core.typing.templates import ConcreteTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, register_model
 from numba.np.arrayobj import make_array
 
+_global: Any = infer_global
 _WIDTH = 8
 _LINE = 64  # bytes in a line of the cache: a load across two lines takes twice as long
 _VECTOR = ir.VectorType(ir.DoubleType(), _WIDTH)
@@ -42,7 +43,7 @@ class _Model(models.PrimitiveModel):
 def _operator(symbol: Any, instruction: str) -> None:
     """Let an operator between two such values be an instruction of LLVM."""
 
-    @infer_global(symbol)
+    @_global(symbol)
     class Template(ConcreteTemplate):
         cases = (signature(_EIGHT, _EIGHT, _EIGHT),)
 
@@ -56,13 +57,18 @@ _operator(operator.sub, "fsub")
 _operator(operator.mul, "fmul")
 
 
+def _instructions(maker: Any) -> Any:
+    """A compiled function from one that returns its signature and what builds its instructions; the first argument goes."""
+    return intrinsic(maker)
+
+
 def _place(context: Any, builder: Any, kind: Any, row: Any, first: Any) -> Any:
     """Pointer to eight numbers of a row."""
     start = builder.gep(make_array(kind)(context, builder, row).data, [first])
     return builder.bitcast(start, _VECTOR.as_pointer())
 
 
-@intrinsic
+@_instructions
 def load(typing: Any, row: Any, first: Any) -> Any:
     """``row[first : first + 8]``; bounds are not looked at."""
 
@@ -72,7 +78,7 @@ def load(typing: Any, row: Any, first: Any) -> Any:
     return _EIGHT(row, types.intp), lower
 
 
-@intrinsic
+@_instructions
 def store(typing: Any, row: Any, first: Any, value: Any) -> Any:
     """``row[first : first + 8] = value``; bounds are not looked at."""
 
@@ -83,7 +89,7 @@ def store(typing: Any, row: Any, first: Any, value: Any) -> Any:
     return types.void(row, types.intp, _EIGHT), lower
 
 
-@intrinsic
+@_instructions
 def spread(typing: Any, number: Any) -> Any:
     """Eight times the same number."""
 
@@ -95,7 +101,7 @@ def spread(typing: Any, number: Any) -> Any:
     return _EIGHT(types.float64), lower
 
 
-@intrinsic
+@_instructions
 def total(typing: Any, value: Any) -> Any:
     """The sum of eight numbers: of the two halves, then of the quarters, then of two numbers."""
 
