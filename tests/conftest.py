@@ -34,6 +34,14 @@ def processes() -> Iterator[Processes]:
     starting.close()
 
 
+@pytest.fixture(scope="module")
+def png_only() -> Iterator[None]:
+    """Commands write their figures as PNG alone, for tests of what is not about figures; the fonts of a PDF take half a second."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("imr_torch.cli.figures.WRITTEN", ("png",))
+        yield
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """``--check-shapes``: every call checks the annotated shapes."""
     parser.addoption("--check-shapes", action="store_true", help="check the annotated tensor shapes in every call")
