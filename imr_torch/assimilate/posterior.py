@@ -215,6 +215,10 @@ class Neighbourhood:
     def __getitem__(self, row: int) -> "Neighbourhood":
         return replace(self, point=self.point[row], moves=self.moves[row], prediction=self.prediction[row])
 
+    def take(self, rows: Int[Tensor, "rows"]) -> "Neighbourhood":
+        """Those of some of ``C`` points."""
+        return replace(self, point=self.point[rows], moves=self.moves[rows], prediction=self.prediction[rows])
+
     @property
     def centre(self) -> Float[Tensor, "*batch experiments frames"]:
         """``batch_shape x E x T`` tensor, the prediction at the points."""
