@@ -66,6 +66,7 @@ def _found(monkeypatch: pytest.MonkeyPatch, further: int) -> Assimilation:
 
 def test_that_further_steps_lead_to_the_same_minima_in_fewer_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
     for single, several in zip(_found(monkeypatch, 0).fits, _found(monkeypatch, 3).fits, strict=True):
-        assert single.certificate.converged and several.certificate.converged
+        assert single.certificate.converged
+        assert several.certificate.converged
         assert several.cost == pytest.approx(single.cost, abs=1e-4)
         assert several.certificate.iterations < single.certificate.iterations
