@@ -171,8 +171,8 @@ def _stepped(chains: Chains, rows: Tensor, equations: NormalEquations, options: 
 def _continued(before: Chains, chains: Chains, rows: Tensor, options: SearchOptions) -> Chains:
     """Further steps of chains that moved, by the sensitivities from before, while each lowers the cost about as predicted.
 
-    A chain that converges slowly or along a curved valley of the cost gets several steps for one set of sensitivities. Where
-    solver steps are not those of a leader, the cost is not smooth enough for steps of less than a standard deviation.
+    A chain that converges slowly gets several steps for one set of sensitivities. Where solver steps are not those of a leader,
+    the cost is not smooth enough for steps of less than a standard deviation.
     """
     moved = (chains.point.gel[rows] != before.point.gel[rows]).any(1)
     rows = rows[moved & ~chains.finished[rows]]
@@ -193,7 +193,7 @@ def _continued(before: Chains, chains: Chains, rows: Tensor, options: SearchOpti
         aim, cost, seen = (found[:, 0] for found in _tried(chains, rows, point))
         gained = _aim(chains, rows, near.point, near.centre)[0] - aim
         lower = gained > 0.01 * options.gradient**2
-        chains = chains.put(rows[lower], point=point[lower, 0], seen=seen[lower], cost=cost[lower])
+        chains = chains.put(rows[lower], point=point[:, 0][lower], seen=seen[lower], cost=cost[lower])
         good = torch.nonzero(lower & (gained > _WORTH * expected))[:, 0]
         if not good.numel():
             break
