@@ -41,7 +41,7 @@ class Point:
     gel: Float[Tensor, "*batch controls"]
     nuisances: Float[Tensor, "*batch experiments 3"]
 
-    def __getitem__(self, rows: Tensor | slice | int | tuple[Tensor | slice | None, ...]) -> "Point":
+    def __getitem__(self, rows: Tensor | slice | int | tuple[Tensor | slice | int | None, ...]) -> "Point":
         return Point(self.gel[rows], self.nuisances[rows])
 
     def put(self, rows: Int[Tensor, "rows"], other: "Point") -> "Point":
