@@ -38,9 +38,7 @@ _STEPS = 2  # Gauss-Newton steps for the nuisances of a held-out design
 _STEPS_OF_GELS = 5  # where the gel of a design may differ from that of the others, which need not be by little
 _ADEQUATE = 0.01
 _WIDEST = 2.0  # size of S beyond which the base leaves almost no gap to reduce
-_FAR = 1e9  # nats: no training fit is compared with another, but a second start waits until the first is near a minimum
-_OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, drop_behind=_FAR, basin_rounds=0, polish=False)
-# .05 nats: below training noise
+_OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0, polish=False)  # .05 nats: below training noise
 _NONE = "none"
 GEL_SCATTER = "gel_scatter"
 """Name of the hypothesis that the gel differs between designs."""
