@@ -269,7 +269,7 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[st
 def _spread(
     shots: Sequence[Shot], options: BatchOptions, executor: Executor | Callable[[], Executor], window: int
 ) -> Generator[tuple[Shot, dict[str, Any]], None, None]:
-    """Results as they come from an executor. Shots in hand when it breaks are tried again one by one, to find the culprit."""
+    """Results as they come from an executor. When it breaks, unfinished shots are tried again one by one."""
     waiting, suspects = list(reversed(shots)), []
     pool = executor if isinstance(executor, Executor) else executor()
     running: dict[Future[dict[str, Any]], tuple[Shot, bool]] = {}

@@ -29,10 +29,6 @@ class ImrWarning(UserWarning):
     """Root of every warning that the toolkit gives."""
 
 
-class InputDataWarning(ImrWarning):
-    """Data were used, and something about them deserves a look."""
-
-
 class ConvergenceWarning(ImrWarning):
     """A fit did not converge, as its certificate says."""
 

@@ -1,6 +1,7 @@
 """Atomic writing of files, and JSON that keeps every bit of a float64."""
 
 import json
+import math
 import os
 import secrets
 import tempfile
@@ -13,6 +14,7 @@ from imr_torch.errors import InputDataError
 
 _LONGEST_NAME = 200  # bytes; file systems take 255, and temporary files have longer names
 _TEMPORARY = ".tmp"
+_DIGITS = 7  # after the decimal point, of numbers that are only drawn
 
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
@@ -135,6 +137,20 @@ def write_json(path: str | Path, document: Any) -> None:
     """
     text = json.dumps(document, indent=1, allow_nan=False) + "\n"
     write_atomically(Path(path), lambda stream: stream.write(text.encode()))
+
+
+def drawn_numbers(values: Any) -> list[float | None]:
+    """Numbers of a curve that is only drawn, for JSON, which has no NaN: seven digits, and None where one is not finite.
+
+    Args:
+        values: a one-dimensional tensor or array.
+
+    >>> import torch
+    >>> from imr_torch.files import drawn_numbers
+    >>> drawn_numbers(torch.tensor([1.0 / 3.0, float("nan")], dtype=torch.float64))
+    [0.3333333, None]
+    """
+    return [round(x, _DIGITS) if math.isfinite(x) else None for x in values.tolist()]
 
 
 def read_json(path: str | Path, *, expected: str = "expected JSON") -> Any:

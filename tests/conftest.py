@@ -1,10 +1,13 @@
 """Fixtures shared by all tests: one thread, float64 tensors made explicitly, and the reference data where they exist."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
+
+from tests.processes import Processes
 
 torch.set_num_threads(1)
 
@@ -21,6 +24,22 @@ def shared() -> Path:
     if not (folder / "data").is_dir():
         pytest.skip(f"reference data not found at {folder}; set IMR_TORCH_SHARED to the folder that holds data/ and reference/")
     return folder
+
+
+@pytest.fixture(scope="session")
+def processes() -> Iterator[Processes]:
+    """Runs scripts in processes of their own that need not load the libraries first."""
+    starting = Processes()
+    yield starting
+    starting.close()
+
+
+@pytest.fixture(scope="module")
+def png_only() -> Iterator[None]:
+    """Commands write their figures as PNG alone, for tests of what is not about figures; the fonts of a PDF take half a second."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("imr_torch.cli.figures.WRITTEN", ("png",))
+        yield
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

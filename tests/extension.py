@@ -1,15 +1,20 @@
-"""What a user adds from outside the package: a file format, a constitutive model, an effect. Run by ``test_extension.py``.
+"""What a user adds from outside the package: a file format, a constitutive model, an effect, an estimator of the information
+gain. Run by ``test_extension.py``.
 
 It prints one line for each, from the file to the answer, with polytropic bubbles.
 """
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 
 from imr_torch import characterize, load_traces
 from imr_torch.assimilate import SearchOptions
+from imr_torch.campaign import Campaign, CampaignSettings, Optimal
+from imr_torch.design import ExpectedInformationGain, InformationEstimator, InformationGain, Plan, Shot, search_design
+from imr_torch.design.response import radii
 from imr_torch.elementary import Scalar, exp
 from imr_torch.gap import diagnose
 from imr_torch.material import (
@@ -68,9 +73,9 @@ class MooneyRivlin(Material):
 
 register(MooneyRivlin())
 
-# ---------------------------------------------------------------- an effect: a pressure afar that fades, with its own shape
+# ---------------------------------------------------------------- an effect: a far-field pressure that fades, with its own shape
 
-PARAMETERS.register(Parameter("surge", "pressure afar that fades, over p_inf", "1", "none", -0.5, 0.5, 0.0))
+PARAMETERS.register(Parameter("surge", "far-field pressure that fades, over p_inf", "1", "none", -0.5, 0.5, 0.0))
 
 
 def surge(time: Scalar, surge: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -79,11 +84,34 @@ def surge(time: Scalar, surge: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     return value, -2.0 * value, 4.0 * value
 
 
-register_effect(Effect("surge", "the pressure afar fades", "driving", {"surge": TruncatedNormal(0.0, 0.1)}, far_field=surge))
+register_effect(
+    Effect("surge", "the far-field pressure fades", "driving", {"surge": TruncatedNormal(0.0, 0.1)}, far_field=surge)
+)
+
+
+# ---------------------------------------------------------------- an estimator of the information gain: a Gaussian channel a frame
+
+
+@dataclass(frozen=True)
+class GaussianChannel(InformationEstimator):
+    """``1/2 log(1 + variance of the prediction/variance of the noise)``, summed over frames as if these were independent."""
+
+    draws: int = 16
+
+    def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
+        """See :class:`InformationEstimator`."""
+        nats = torch.zeros((), dtype=torch.float64)
+        for part, weight in zip(shot.belief.models, shot.belief.log_probabilities.exp(), strict=True):
+            v = torch.randn(self.draws, len(part.names), generator=generator, dtype=torch.float64)
+            seen = radii(shot, part, v)
+            noise = shot.plan.noise.sd(seen, shot.plan.times).square().mean(0) / shot.plan.repeats
+            nats = nats + 0.5 * weight * torch.log1p(seen.var(0) / noise).sum()
+        count = self.draws * len(shot.belief.models)
+        return InformationGain(float(nats), 0.0, variance=0.01, counted=count, drawn=count)
 
 
 def main(folder: Path) -> None:
-    """File, model, effect."""
+    """File, model, effect, estimator."""
     simulator, times = PolytropicSimulator(), torch.linspace(0.0, 2.4, 73, dtype=torch.float64)
     gel = PARAMETERS.pack({"G": 2000.0, "mu": 0.1, "G_second": 8000.0})
     design = torch.tensor([400.0, 0.2], dtype=torch.float64)
@@ -108,6 +136,15 @@ def main(folder: Path) -> None:
     shots = [laboratory.shoot(each, seed=i) for i, each in enumerate(designs)]
     report = diagnose(shots, noise=laboratory.noise, simulator=simulator)
     print("effect", report.verdict, "+".join(report.cause))
+
+    prior, plan, own = wide_prior(("nhkv", "two_springs")), Plan(), GaussianChannel()
+    acquisition = ExpectedInformationGain(prior, simulator, own, plan=plan)
+    search = search_design(acquisition, seed=0, q=2, evaluations=4, initial=3)
+    settings = CampaignSettings(plan=plan, policy=Optimal(own, evaluations=3, initial=2))
+    campaign = Campaign(folder / "campaign", prior, simulator, settings=settings, seed=0)
+    asked = campaign.ask()
+    again = Campaign(folder / "campaign", prior, simulator, settings=settings, seed=0).ask()
+    print("estimator", len(search.chosen), asked.gain is not None, torch.equal(asked.design, again.design))
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ EXAMPLE = example_gel()
 TRUTH = {"G": 8310.0, "mu": 0.093}
 TABLE = "experiment_id,time_s,radius_m\n"
 QUICK = ["--physics", "polytropic", "--quiet"]
+pytestmark = pytest.mark.usefixtures("png_only")
 
 
 @pytest.fixture(autouse=True)
@@ -54,7 +55,8 @@ def test_simulate_writes_the_curve_and_a_figure(tmp_path, capsys):
     assert "NHKV, Rmax 331.6 um" in capsys.readouterr().out
 
 
-def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys):
+def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("imr_torch.cli.figures.WRITTEN", ("png", "pdf"))
     out = tmp_path / "result"
     arguments = ["characterize", str(EXAMPLE), "--models", "nhkv", "--noise", "published", "--quiet", "--out", str(out)]
     assert main([*arguments, "--experiments", "shot_1,shot_3"]) == 0

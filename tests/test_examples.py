@@ -12,9 +12,9 @@ import torch
 
 import imr_torch
 
-STAGES = ("material", "simulate", "observe", "assimilate", "select", "population", "campaign", "calibration", "gap", "export")
-PUBLIC = ("imr_torch", *(f"imr_torch.{name}" for name in (*STAGES, "units", "files", "random", "labels", "html", "results")))
-WITHOUT = ("imr_torch.design",)  # whose objects are not looked at here
+STAGES = ("material", "simulate", "observe", "assimilate", "select", "population", "design", "campaign", "calibration", "gap")
+OTHERS = ("characterization", "export", "units", "files", "random", "labels", "html", "results")
+PUBLIC = ("imr_torch", *(f"imr_torch.{name}" for name in (*STAGES, *OTHERS)))
 NEEDS = {"imr_torch.export.arviz": ("xarray", "arviz_base", "h5netcdf"), "imr_torch.assimilate.nuts": ("pyro",)}
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
@@ -43,7 +43,7 @@ def public_objects() -> dict[str, object]:
         own = [name for name, value in vars(package).items() if getattr(value, "__module__", "") == package.__name__]
         for name in getattr(package, "__all__", [name for name in own if not name.startswith("_")]):
             value = getattr(package, name)
-            if (inspect.isclass(value) or inspect.isfunction(value)) and not value.__module__.startswith(WITHOUT):
+            if inspect.isclass(value) or inspect.isfunction(value):
                 found[f"{value.__module__}.{value.__qualname__}"] = value
     return found
 

@@ -1,13 +1,12 @@
 """The tree is the data flow: a stage imports itself, earlier stages and the base modules, and nothing else of the package."""
 
 import ast
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import imr_torch
+from tests.processes import Processes
 
 PACKAGE = Path(imr_torch.__file__).parent
 STAGES = (
@@ -122,11 +121,9 @@ def test_that_the_checker_is_silent_on_the_flow(source: str, module: tuple[str, 
     assert violations(source, module, is_package) == []
 
 
-def test_that_a_parameter_vector_has_all_entries_whatever_is_imported_first() -> None:
+def test_that_a_parameter_vector_has_all_entries_whatever_is_imported_first(processes: Processes) -> None:
     """Processes that were started to simulate import no later stage, and read vectors of a process that did."""
     script = "import imr_torch.{}\nfrom imr_torch.material import PARAMETERS, LIBRARY\nprint([*PARAMETERS.names], [*LIBRARY])"
-    said = {
-        subprocess.run([sys.executable, "-c", script.format(stage)], capture_output=True, text=True, check=True).stdout
-        for stage in ("material", "simulate", "observe", "gap")
-    }
-    assert len(said) == 1
+    ran = [processes.run(script.format(stage)) for stage in ("material", "simulate", "observe", "gap")]
+    assert [done.stderr for done in ran if done.returncode] == []
+    assert len({done.stdout for done in ran}) == 1

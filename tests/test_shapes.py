@@ -1,9 +1,12 @@
 """The shapes in the annotations hold: a part of the tests runs once more, with every annotated tensor checked."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 CHECKED = (
@@ -44,21 +47,32 @@ def test_that_does_not_fit():
 """
 
 
-def checked(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = (sys.executable, "-m", "pytest", "--check-shapes", "--tb=short", "-p", "no:cacheprovider", *arguments)
-    return subprocess.run(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
-
-
-def test_that_tensors_have_the_shapes_of_their_annotations() -> None:
+@pytest.fixture(scope="module")
+def checked(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """What pytest printed of the tests to check and of a wrong shape, in one process, since the checks take long to make."""
+    wrong = tmp_path_factory.mktemp("shapes") / "test_wrong.py"
+    wrong.write_text(WRONG)
     examples = " or ".join(f"imr_torch.{stage}" for stage in STAGES)
     chosen = f"(not test_examples.py or prints_what_it_says and ({examples})) and not {' and not '.join((*SLOW, *REFUSED))}"
-    done = checked(*CHECKED, "-k", chosen)
-    assert done.returncode == 0, done.stdout[-8000:] + done.stderr[-2000:]
+    return ran(*CHECKED, str(wrong), "-k", chosen)
 
 
-def test_that_a_wrong_shape_is_found(tmp_path: Path) -> None:
-    (tmp_path / "test_wrong.py").write_text(WRONG)
-    done = checked("-p", "tests.conftest", str(tmp_path / "test_wrong.py"))
-    assert "1 failed, 1 passed" in done.stdout, done.stdout
-    assert "jaxtyping.TypeCheckError" in done.stdout
-    assert "acceleration" in done.stdout
+def ran(*arguments: str) -> str:
+    """Standard output of pytest with the shapes checked."""
+    options = ("--check-shapes", "--tb=short", "-rfE", "-p", "no:cacheprovider")
+    command = (sys.executable, "-m", "pytest", *options, *arguments)
+    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
+    assert re.search(r"\d+ passed", done.stdout), done.stdout[-8000:] + done.stderr[-2000:]
+    return done.stdout
+
+
+def test_that_tensors_have_the_shapes_of_their_annotations(checked: str) -> None:
+    failed = re.findall(r"^(?:FAILED|ERROR) \S*?((?:::)?[^/\s]+)(?:\s|$)", checked, re.MULTILINE)
+    assert failed == ["::test_that_does_not_fit"], checked[-8000:]  # of a file outside of the project
+    assert int(re.findall(r"(\d+) passed", checked)[-1]) > 600
+
+
+def test_that_a_wrong_shape_is_found(checked: str) -> None:
+    assert "FAILED ::test_that_does_not_fit" in checked
+    assert "jaxtyping.TypeCheckError" in checked
+    assert "acceleration" in checked

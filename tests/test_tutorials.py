@@ -1,12 +1,11 @@
 """Every tutorial runs from top to bottom, in a smoke mode that only makes it small."""
 
 import importlib.util
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.processes import Processes
 
 ROOT = Path(__file__).resolve().parents[1]
 TUTORIALS = sorted((ROOT / "tutorials").glob("[0-9]*.py"))
@@ -18,10 +17,9 @@ def test_there_are_tutorials():
 
 
 @pytest.mark.parametrize("path", TUTORIALS, ids=lambda path: path.stem)
-def test_the_tutorial_runs(path):
+def test_the_tutorial_runs(path: Path, processes: Processes) -> None:
     if (needed := NEEDS.get(path.stem)) and importlib.util.find_spec(needed) is None:
         pytest.skip(f"{needed} is not installed")
-    environment = os.environ | {"IMR_TORCH_SMOKE": "1", "OMP_NUM_THREADS": "1"}
-    done = subprocess.run([sys.executable, str(path)], env=environment, cwd=ROOT, capture_output=True, text=True, timeout=600)
+    done = processes.run(path, env={"IMR_TORCH_SMOKE": "1"})
     assert done.returncode == 0, done.stderr[-3000:]
     assert len(done.stdout) > 200

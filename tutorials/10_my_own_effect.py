@@ -4,8 +4,8 @@
 # between it and the effects of the library. Takes about a minute on one core.
 #
 # An effect is a parameter that every model leaves at zero, where it does nothing, and a law that says what it does
-# otherwise. As an example: the laser has heated the liquid around the bubble, so the pressure afar is higher at first, and
-# the excess fades. (The library has a constant pressure afar, a sound field and a pulse, but nothing that fades.)
+# otherwise. As an example: the laser has heated the liquid around the bubble, so the far-field pressure is higher at first, and
+# the excess fades. (The library has a constant far-field pressure, a sound field and a pulse, but nothing that fades.)
 
 # %%
 import os
@@ -31,14 +31,14 @@ SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 prior = TruncatedNormal(0.0, 0.03)
 parameter = PARAMETERS.register(
     Parameter(
-        "fading_pressure", "pressure afar beyond p_inf at time zero, over p_inf", "1", "none", -0.5, 0.5, 0.0, prior=prior
+        "fading_pressure", "far-field pressure beyond p_inf at time zero, over p_inf", "1", "none", -0.5, 0.5, 0.0, prior=prior
     )
 )
 
 
 # %% [markdown]
 # ## The law
-# `far_field` laws give the excess of the pressure afar over $p_\infty$ at a dimensionless time, and its first two
+# `far_field` laws give the excess of the far-field pressure over $p_\infty$ at a dimensionless time, and its first two
 # derivatives. Written with `imr_torch.elementary`, a law runs on tensors and is compiled for numbers. Other laws of an
 # effect change the setting of a bubble (`setting`), the vapour pressure (`vapour`) or the amount of gas (`gas_loss`).
 
@@ -58,7 +58,7 @@ def fading(time: Scalar, excess: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 effect = register_effect(
     Effect(
         "fading_pressure",
-        "the pressure afar is higher at first and fades",
+        "the far-field pressure is higher at first and fades",
         "liquid",
         {"fading_pressure": prior},
         far_field=fading,

@@ -17,7 +17,6 @@ from benchmarks.gap.table import families
 from imr_torch.assimilate import SearchOptions
 from imr_torch.gap import LIBRARY, GapReport, diagnose, to_json
 from imr_torch.gap.adequacy import adequacy_test
-from imr_torch.gap.diagnose import impatient
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.gap.locate import onset
 from imr_torch.gap.phases import PHASES
@@ -25,7 +24,7 @@ from imr_torch.gap.score import ADEQUATE
 from imr_torch.gap.shrinkage import held_out, hold_out, judge
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
-from imr_torch.simulate import Simulator
+from imr_torch.simulate import Simulator, fewer_steps
 
 _DECIDING = (
     "score",
@@ -105,7 +104,7 @@ def run_task(task: Task, extras: Extras | None = None) -> dict[str, Any]:
     try:
         if task.kind == "next":
             no_verdict = {"gap": False, "verdict": "next", "cause": []}
-            return line | no_verdict | compare_designs(task, impatient(task.simulator()))
+            return line | no_verdict | compare_designs(task, fewer_steps(task.simulator()))
         data = make_set(task)
         line |= {"truth": list(data.truth), "values": data.values, "signal": data.signal}
         line |= {"designs": [list(e.design) for e in data.experiments], "offered": len(data.offered)}

@@ -14,9 +14,9 @@ from torch import Tensor
 from benchmarks.gap.signals import signals
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import LIBRARY, Effect, library
-from imr_torch.gap.sets import NUISANCE
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
+from imr_torch.observe.sets import NUISANCE
 from imr_torch.random import child, generator
 from imr_torch.simulate import ACCURACIES, STEPPINGS, Accuracy, PolytropicSimulator, Resolution, TransportSimulator
 

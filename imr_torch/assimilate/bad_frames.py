@@ -19,6 +19,7 @@ from imr_torch.assimilate.masking import away_from_collapses
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.material import PARAMETERS, ModelBelief
 from imr_torch.observe import ExperimentBatch
+from imr_torch.observe.roughness import SD_OVER_MAD
 from imr_torch.simulate import Simulator
 
 PRIOR = 0.01
@@ -33,7 +34,6 @@ _RUN = 3  # bad frames side by side that are a misfit
 _LEVELS = (0.05, 0.5, 0.95)
 _ROUNDS = 10
 _LEAST = 0.5  # smallest noise, over that of the fit, that residuals of the good frames may show
-_CONSISTENT = 1.482602  # standard deviation over median absolute deviation of a Gaussian
 
 
 @dataclass(frozen=True)
@@ -286,7 +286,7 @@ def _search(whole: JointGaussian) -> tuple[Tensor, Tensor, float]:
     """Which frames are bad, the probability of each, and the noise of the others over that of the fit."""
     bad = torch.zeros_like(whole.pull, dtype=torch.bool)
     error, variance = whole.deletion
-    size = min(1.0, max(_LEAST, _CONSISTENT * float((error.abs() / variance.sqrt()).median())))
+    size = min(1.0, max(_LEAST, SD_OVER_MAD * float((error.abs() / variance.sqrt()).median())))
     probability = torch.zeros_like(whole.pull)
     for _ in range(_ROUNDS):
         before = bad.clone()

@@ -1,6 +1,6 @@
 """Nuisances given the gel: for each gel a Gauss-Newton step of its own, in place of one linearisation for all.
 
-In go points with a guess of the nuisances, out come a better centre and the precision there. Far from the fit, or where many
+From points with a guess of the nuisances follow a better centre and the precision there. Far from the fit, or where many
 repeats make the data so exact that the cost is not quadratic in the nuisances within their uncertainty, the fit's linearisation
 is not good enough to draw from. The result is a function of the gel alone, so importance weights stay exact.
 """

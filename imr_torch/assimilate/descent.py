@@ -18,14 +18,18 @@ from imr_torch.assimilate.chains import Chains
 from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Neighbourhood, Point
+from imr_torch.assimilate.secant import carried
 
 NEAR = 1.0
 """Posterior standard deviations from a minimum at which a chain gets a leader, and another start may begin."""
 
 _DAMPINGS = (0.0, 1.0, 30.0)  # times the current damping; the others where the first does not lower the cost as predicted
 _KEPT = 0.5  # share of the predicted decrease of the cost with which a step is taken without trying others
+_ROUGH = 0.01  # the same below which a chain gets a leader: there the solver's own steps decide on the cost
 _STUCK = 1e4  # damping at which nothing lowers the cost any more
 _LONGEST_STEP = 4.0  # prior standard deviations
+_FURTHER = 3  # steps by the same sensitivities, each corrected by the step before
+_WORTH = 0.25  # share of the predicted decrease of the cost that such a step must reach for another to follow
 
 
 def iterate(chains: Chains, options: SearchOptions) -> Chains:
@@ -49,7 +53,9 @@ def iterate(chains: Chains, options: SearchOptions) -> Chains:
     )
     moving = torch.nonzero(~chains.finished[rows])[:, 0]
     if moving.numel():
-        chains = _led(_stepped(chains, rows[moving], equations[moving], options), rows[moving])
+        before = chains
+        chains = _stepped(chains, rows[moving], equations[moving], options)
+        chains = _led(_continued(before, chains, rows[moving], options), rows[moving])
     return chains
 
 
@@ -113,17 +119,22 @@ def _coarse_neighbours(chains: Chains, rows: Tensor) -> Neighbourhood:
 
 def _linearised(chains: Chains, rows: Tensor) -> tuple[Chains, NormalEquations]:
     """Costs and normal equations of some chains at their points, each behind its leader."""
-    near, masking = chains.near(rows), chains.masking[rows]
+    near = chains.near(rows)
     chains = replace(
         chains,
         simulated=chains.simulated + near.prediction[..., 0].numel(),
         failed=chains.failed + int((~torch.isfinite(near.prediction)).any(-1).sum()),
     )
     aim, cost = _aim(chains, rows, near.point, near.centre)
-    chains, whole = chains.put(rows, aim=aim, cost=cost), near.equations
+    return chains.put(rows, aim=aim, cost=cost), _equations(chains, rows, near)
+
+
+def _equations(chains: Chains, rows: Tensor, near: Neighbourhood) -> NormalEquations:
+    """Normal equations of what some chains lower."""
+    masking = chains.masking[rows]
     if not bool(masking.any()):
-        return chains, whole
-    return chains, chains.masked.neighbourhood(near).equations.where(masking, whole)
+        return near.equations
+    return chains.masked.neighbourhood(near).equations.where(masking, near.equations)
 
 
 def _aim(chains: Chains, rows: Tensor, point: Point, prediction: Tensor) -> tuple[Tensor, Tensor]:
@@ -139,11 +150,7 @@ def _aim(chains: Chains, rows: Tensor, point: Point, prediction: Tensor) -> tupl
 def _stepped(chains: Chains, rows: Tensor, equations: NormalEquations, options: SearchOptions) -> Chains:
     """Try steps of several dampings; take the best if it lowers what the chain lowers."""
     tried = torch.tensor(_DAMPINGS, dtype=torch.float64) * chains.damping[rows, None]
-    steps = [equations.step(tried[:, i]) for i in range(len(_DAMPINGS))]
-    gel_step, nuisance_step = (torch.stack(parts, dim=1) for parts in zip(*steps, strict=True))
-    shorter = (_LONGEST_STEP / gel_step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)
-    own = chains.point[rows]
-    point = Point(own.gel[:, None] + shorter * gel_step, own.nuisances[:, None] + shorter[..., None] * nuisance_step)
+    point = _damped_step(chains, rows, equations, tried)
     aim, cost = (torch.full(tried.shape, torch.inf, dtype=torch.float64) for _ in range(2))
     seen = torch.full((*tried.shape, *chains.seen.shape[1:]), torch.nan, dtype=torch.float64)
     aim[:, :1], cost[:, :1], seen[:, :1] = _tried(chains, rows, point[:, :1])
@@ -155,8 +162,52 @@ def _stepped(chains: Chains, rows: Tensor, equations: NormalEquations, options: 
     kept, at = rows[better], (torch.nonzero(better)[:, 0], which[better])
     eased = chains.damping[kept] * torch.tensor(_DAMPINGS, dtype=torch.float64)[which[better]]
     damping = torch.where(eased > 0.0, 0.3 * eased, 0.1 * chains.damping[kept]).clamp(1e-6, 1e6)
+    rough = best > chains.aim[rows] - _ROUGH * 0.5 * chains.gradient[rows].square()
+    rough = rows[better & rough & ~chains.leading[rows] & ~chains.masking[rows]]
     chains = chains.put(kept, point=point[at], seen=seen[at], cost=cost[at], around=None, damping=damping)
-    return _unstuck(chains, rows[~better])
+    return _unstuck(_follow_oneself(chains, rough), rows[~better])
+
+
+def _continued(before: Chains, chains: Chains, rows: Tensor, options: SearchOptions) -> Chains:
+    """Further steps of chains that moved, by the sensitivities from before, while each lowers the cost about as predicted.
+
+    A chain that converges slowly gets several steps for one set of sensitivities. Where solver steps are not those of a leader,
+    the cost is not smooth enough for steps of less than a standard deviation.
+    """
+    moved = (chains.point.gel[rows] != before.point.gel[rows]).any(1)
+    rows = rows[moved & ~chains.finished[rows]]
+    if not rows.numel():
+        return chains
+    near = before.near(rows)
+    equations = near.equations
+    for _ in range(_FURTHER):
+        near = carried(near, equations, chains.point[rows], chains.seen[rows])
+        equations, aims = near.equations, _equations(chains, rows, near)
+        expected = 0.5 * aims.whitened_gradient.square()
+        least = torch.where(chains.leading[rows], options.gradient, NEAR)
+        some = torch.nonzero(expected > 0.5 * least.square())[:, 0]
+        if not some.numel():
+            break
+        rows, near, equations, expected = rows[some], near.take(some), equations[some], expected[some]
+        point = _damped_step(chains, rows, aims[some], chains.damping[rows, None])
+        aim, cost, seen = (found[:, 0] for found in _tried(chains, rows, point))
+        gained = _aim(chains, rows, near.point, near.centre)[0] - aim
+        lower = gained > 0.01 * options.gradient**2
+        chains = chains.put(rows[lower], point=point[:, 0][lower], seen=seen[lower], cost=cost[lower])
+        good = torch.nonzero(lower & (gained > _WORTH * expected))[:, 0]
+        if not good.numel():
+            break
+        rows, near, equations = rows[good], near.take(good), equations[good]
+    return chains
+
+
+def _damped_step(chains: Chains, rows: Tensor, equations: NormalEquations, damping: Float[Tensor, "rows points"]) -> Point:
+    """``C x N`` points to which steps of ``N`` dampings lead, none of them farther than allowed."""
+    steps = [equations.step(own) for own in damping.unbind(1)]
+    gel_step, nuisance_step = (torch.stack(parts, dim=1) for parts in zip(*steps, strict=True))
+    shorter = (_LONGEST_STEP / gel_step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)
+    own = chains.point[rows]
+    return Point(own.gel[:, None] + shorter * gel_step, own.nuisances[:, None] + shorter[..., None] * nuisance_step)
 
 
 def _tried(chains: Chains, rows: Tensor, point: Point) -> tuple[Tensor, Tensor, Tensor]:

@@ -3,15 +3,15 @@
 The method of Spratt et al. (J. Mech. Phys. Solids 152, 104455, 2021) and of arXiv 2409.00011, appendix B, in the ensemble-space
 form of Bocquet & Sakov (Nonlin. Processes Geophys. 20, 803, 2013): an ensemble of gels and nuisances is simulated, its members'
 deviations give the slopes of the curves by regression, and a Gauss-Newton step moves its mean; its deviations are then those of
-the posterior so far. Between cycles spread is relaxed to what the cycle before began from, its own widening apart (RTPS:
-Whitaker & Hamill, Mon. Weather Rev. 140, 3078, 2012): the second cycle begins nearly as wide as the prior and can leave the
-minimum that was found, later ones are hardly widened. Truncated priors need no special treatment, since
-members are in whitened coordinates.
+the posterior so far. Between cycles the spread of each coordinate is relaxed towards that from which the cycle began, taken
+before any relaxation of its own (RTPS: Whitaker & Hamill, Mon. Weather Rev. 140, 3078, 2012). So the second cycle begins nearly
+as wide as the prior and can leave the minimum that was found, and later ones are hardly widened. Truncated priors need no
+special treatment, since members are in whitened coordinates.
 
 The prior enters through the cost and not through the ensemble, so restarts do not use the data again, and data have their own
 likelihood; ``tempered`` gives them the published one. As slopes are means over the ensemble, steps do not follow the detail of
-the cost within its width: the method passes small local minima. Against the published method, of each step that share is taken
-at which the exact cost is lowest.
+the cost within its width: the method passes small local minima. Unlike the published method, each step is shortened to the
+share of it at which the exact cost is lowest.
 """
 
 from dataclasses import dataclass, replace
@@ -197,7 +197,7 @@ def _fit(posterior: Posterior, state: _State, options: En4DVarOptions, seed: int
         cost=costs[-1],
         prediction=posterior.predict(state.point),
         certificate=Certificate(
-            step, agreement, options.iterations * options.cycles, failed, step < _STILL and agreement < _SAME
+            step, agreement, options.iterations * options.cycles, failed, step < _STILL and agreement < _SAME, compared="cycles"
         ),
     )
 

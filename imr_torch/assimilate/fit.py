@@ -40,10 +40,12 @@ class Certificate:
 
     Args:
         gradient: length of the gradient in posterior standard deviations; below the tolerance at a minimum.
-        agreement: cost of the second best start minus that of the best, in nats; ``inf`` when only one start ended well.
+        agreement: cost of the second best start minus that of the best, in nats; ``inf`` when only one start ended well. Of
+            ensemble 4D-Var, the difference between the costs at the ends of the last two cycles.
         iterations: Gauss-Newton iterations of the best start.
         failed_members: share of ensemble members whose solve failed.
         converged: whether gradient and agreement are within the tolerances asked for.
+        compared: what the agreement is of, ``"starts"`` or ``"cycles"``.
 
     >>> from imr_torch.assimilate import Certificate
     >>> certificate = Certificate(gradient=2e-4, agreement=1e-3, iterations=9, failed_members=0.0, converged=True)
@@ -56,6 +58,7 @@ class Certificate:
     iterations: int
     failed_members: float
     converged: bool
+    compared: str = "starts"
 
     @property
     def nearly_converged(self) -> bool:
@@ -65,7 +68,7 @@ class Certificate:
     def __str__(self) -> str:
         word = "converged" if self.converged else "NOT CONVERGED"
         return (
-            f"{word} (gradient {self.gradient:.1e} sd, starts agree within {self.agreement:.2g} nats, "
+            f"{word} (gradient {self.gradient:.1e} sd, {self.compared} agree within {self.agreement:.2g} nats, "
             f"{self.iterations} iterations, {100 * self.failed_members:.1f} % of members failed)"
         )
 

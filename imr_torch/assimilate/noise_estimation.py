@@ -20,6 +20,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise
 from imr_torch.observe.collapse import scatter_of
+from imr_torch.observe.noise import FEWEST_RESIDUALS
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
@@ -27,9 +28,6 @@ from imr_torch.types import Progress
 
 NOISE_ROUNDS = 2
 """How often the noise of measured curves is estimated: from fits with the given law, and from fits with the first estimate."""
-
-_FEWEST = 10
-"""Degrees of freedom that residuals must have for the noise to be estimated from them."""
 
 _GRADIENT, _AGREEMENT = 0.3, 1.0  # tolerances (posterior standard deviations, nats) of all fits but the last
 
@@ -150,7 +148,7 @@ def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:
 
 def determines_noise(fit: ModelFit, batch: ExperimentBatch) -> bool:
     """Whether a fit leaves ten degrees of freedom or more, from which on residuals determine the noise."""
-    return float(batch.mask.sum()) - freedom_of(fit, batch) >= _FEWEST
+    return float(batch.mask.sum()) - freedom_of(fit, batch) >= FEWEST_RESIDUALS
 
 
 def freedom_of(fit: ModelFit, batch: ExperimentBatch) -> float:

@@ -1,5 +1,6 @@
 """Settings of the two fitting methods, checked when they are made; the type of the settings selects the method."""
 
+import math
 from dataclasses import dataclass
 
 from imr_torch.errors import InputDataError
@@ -19,6 +20,7 @@ class SearchOptions:
             all models by more than this, nats; never when not given. When given, only the best start of each model begins at
             first, and a second follows once that is near a minimum and not too far behind; of more than two, all follow even
             from farther behind.
+        rival: cost of a fit that is known already, nats; with ``drop_behind`` starts are compared with it too.
         basin_rounds: times that models may be restarted in a deeper basin of their nuisances
             (:mod:`imr_torch.assimilate.basins`); with 0 none is searched for, as where nuisances begin at a fit whose
             basins were compared.
@@ -38,6 +40,7 @@ class SearchOptions:
     gradient: float = 1e-3
     agreement: float = 0.1
     drop_behind: float | None = None
+    rival: float = math.inf
     basin_rounds: int = 3
     mask_collapses: bool | None = None
     polish: bool = True

@@ -41,7 +41,7 @@ class Point:
     gel: Float[Tensor, "*batch controls"]
     nuisances: Float[Tensor, "*batch experiments 3"]
 
-    def __getitem__(self, rows: Tensor | slice | int | tuple[Tensor | slice | None, ...]) -> "Point":
+    def __getitem__(self, rows: Tensor | slice | int | tuple[Tensor | slice | int | None, ...]) -> "Point":
         return Point(self.gel[rows], self.nuisances[rows])
 
     def put(self, rows: Int[Tensor, "rows"], other: "Point") -> "Point":
@@ -214,6 +214,10 @@ class Neighbourhood:
 
     def __getitem__(self, row: int) -> "Neighbourhood":
         return replace(self, point=self.point[row], moves=self.moves[row], prediction=self.prediction[row])
+
+    def take(self, rows: Int[Tensor, "rows"]) -> "Neighbourhood":
+        """Those of some of ``C`` points."""
+        return replace(self, point=self.point[rows], moves=self.moves[rows], prediction=self.prediction[rows])
 
     @property
     def centre(self) -> Float[Tensor, "*batch experiments frames"]:

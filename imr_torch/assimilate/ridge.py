@@ -116,7 +116,7 @@ def trace_ridge(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> 
     """Follow the ridge of a fit to both sides.
 
     Args:
-        fit: Gaussian answer; not changed.
+        fit: a fit with its Gaussian approximation; not changed.
         batch: the data.
         simulator: makes the bubbles, a small bundle for each step.
 

@@ -14,11 +14,11 @@ from imr_torch.campaign.journal import curve_hash
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, collapse_time, predict
+from imr_torch.observe.plausibility import RAYLEIGH_TIME
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 
 _DRAWS = 8
-_RAYLEIGH = 0.915  # dimensionless time of the first collapse of an empty bubble (Rayleigh, Phil. Mag. 34, 1917)
 _FACTOR = 30.0
 
 
@@ -37,11 +37,11 @@ def check_simulated(belief: Belief, experiment: Experiment, simulator: Simulator
     """
     name, (weber, rest) = f"Experiment {experiment.label!r}", experiment.design
     collapse, last = collapse_time(experiment.times, experiment.mean, 1), float(experiment.times[-1])
-    late = _FACTOR * _RAYLEIGH < collapse < math.inf
-    if late or (collapse < _RAYLEIGH / _FACTOR and last < _RAYLEIGH):
+    late = _FACTOR * RAYLEIGH_TIME < collapse < math.inf
+    if late or (collapse < RAYLEIGH_TIME / _FACTOR and last < RAYLEIGH_TIME):
         raise InputDataError(
-            f"{name} collapses first at a dimensionless time of {collapse:.3g}; bubbles do near {_RAYLEIGH}. Its times or its "
-            "radii are in another unit than stated: correct the file or its layout, and tell it again."
+            f"{name} collapses first at a dimensionless time of {collapse:.3g}; bubbles do near {RAYLEIGH_TIME}. Its times or "
+            "its radii are in another unit than stated: correct the file or its layout, and tell it again."
         )
     batch = ExperimentBatch((experiment,), noise)
     for part in belief.models:

@@ -46,7 +46,7 @@ class FolderLock:
             ) from None
         try:
             if outermost:
-                with suppress(OSError):  # who holds the lock is a courtesy
+                with suppress(OSError):  # the name of the owner only serves the message
                     self._owner.write_text(f"process {os.getpid()} on {socket.gethostname()}")
             yield outermost
         finally:

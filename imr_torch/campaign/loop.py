@@ -23,7 +23,7 @@ from imr_torch.campaign.journal import Journal, curve_hash
 from imr_torch.campaign.learners import Observations, finite
 from imr_torch.campaign.policies import Proposal, Situation
 from imr_torch.campaign.settings import CampaignSettings, through_json
-from imr_torch.campaign.stopping import Standing
+from imr_torch.campaign.stopping import CampaignState
 from imr_torch.design import DesignSearch, Plan
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.material import Belief
@@ -135,8 +135,8 @@ class Campaign:
         """Why the campaign should end, by what was told so far and, if given, what is proposed; None where it should not."""
         rule, gain = self.settings.stop, proposal.gain if proposal else None
         finding = self.steps[-1].finding if self.steps else None
-        standing = Standing(self.belief, tuple(self.experiments), gain, self.forgotten, finding)
-        return rule.reason(standing) if rule else None
+        state = CampaignState(self.belief, tuple(self.experiments), gain, self.forgotten, finding)
+        return rule.reason(state) if rule else None
 
     @property
     def forgotten(self) -> tuple[Experiment, ...]:

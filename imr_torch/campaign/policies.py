@@ -1,4 +1,4 @@
-"""Who decides what is shot next: the most informative design, a random one, a space-filling one, or a list made before.
+"""How the next design is chosen: the most informative design, a random one, a space-filling one, or a list made before.
 
 A policy sees what is believed, what can be shot and which experiment it is, and answers with a :class:`Proposal`. All are
 frozen dataclasses, so a journal can tell whether it was written by the same one. Baselines cost nothing and estimate no

@@ -19,7 +19,7 @@ from imr_torch.observe import Experiment
 
 
 @dataclass(frozen=True)
-class Standing:
+class CampaignState:
     """The state of a campaign before its next experiment, as stopping rules see it.
 
     Args:
@@ -30,8 +30,8 @@ class Standing:
         finding: of the last diagnosis; None in a campaign that makes none.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.campaign import GainBelow, Standing
-    >>> now = Standing(wide_prior(["nhkv"]), experiments=(), gain=0.4)
+    >>> from imr_torch.campaign import GainBelow, CampaignState
+    >>> now = CampaignState(wide_prior(["nhkv"]), experiments=(), gain=0.4)
     >>> GainBelow(0.5).reason(now)
     'the expected information gain of the next design is below 0.5 nats'
     """
@@ -47,13 +47,13 @@ class StoppingRule(Protocol):
     """Says whether to stop; a frozen dataclass.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.campaign import Designs, Standing, StoppingRule
+    >>> from imr_torch.campaign import Designs, CampaignState, StoppingRule
     >>> rule: StoppingRule = Designs(3)
-    >>> rule.reason(Standing(wide_prior(["nhkv"]), experiments=())) is None  # go on
+    >>> rule.reason(CampaignState(wide_prior(["nhkv"]), experiments=())) is None  # go on
     True
     """
 
-    def reason(self, standing: Standing) -> str | None:
+    def reason(self, state: CampaignState) -> str | None:
         """Why to stop now, or None."""
         ...
 
@@ -66,8 +66,8 @@ class Designs:
         count: how many.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.campaign import Designs, Standing
-    >>> Designs(3).reason(Standing(wide_prior(["nhkv"]), experiments=())) is None  # go on
+    >>> from imr_torch.campaign import Designs, CampaignState
+    >>> Designs(3).reason(CampaignState(wide_prior(["nhkv"]), experiments=())) is None  # go on
     True
     """
 
@@ -77,10 +77,10 @@ class Designs:
         if self.count < 1:
             raise InputDataError(f"Designs.count is {self.count}; expected at least 1.")
 
-    def reason(self, standing: Standing) -> str | None:
+    def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        done = len(standing.experiments)
-        lost = f", besides {len(standing.forgotten)} that were forgotten" if standing.forgotten else ""
+        done = len(state.experiments)
+        lost = f", besides {len(state.forgotten)} that were forgotten" if state.forgotten else ""
         return f"{done} designs were shot{lost}" if done >= self.count else None
 
 
@@ -92,8 +92,8 @@ class RelativeSd:
         below: posterior standard deviation over posterior mean; a parameter of mean 0 is never known so well.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.campaign import RelativeSd, Standing
-    >>> RelativeSd(below=0.01).reason(Standing(wide_prior(["nhkv"]), experiments=())) is None  # the prior is wider than 1 %
+    >>> from imr_torch.campaign import RelativeSd, CampaignState
+    >>> RelativeSd(below=0.01).reason(CampaignState(wide_prior(["nhkv"]), experiments=())) is None  # the prior is wider
     True
     """
 
@@ -103,9 +103,9 @@ class RelativeSd:
         if not 0.0 < self.below < math.inf:
             raise InputDataError(f"RelativeSd.below is {self.below}; expected a positive number, such as 0.01.")
 
-    def reason(self, standing: Standing) -> str | None:
+    def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        best = standing.belief.best
+        best = state.belief.best
         means, sds = best.means.tolist(), best.sds.tolist()
         if not all(sd < self.below * abs(mean) for mean, sd in zip(means, sds, strict=True)):
             return None
@@ -120,8 +120,8 @@ class ModelProbability:
         above: its posterior probability.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.campaign import ModelProbability, Standing
-    >>> ModelProbability(above=0.95).reason(Standing(wide_prior(["nhkv"]), experiments=()))
+    >>> from imr_torch.campaign import ModelProbability, CampaignState
+    >>> ModelProbability(above=0.95).reason(CampaignState(wide_prior(["nhkv"]), experiments=()))
     'nhkv has a probability above 0.95'
     """
 
@@ -131,10 +131,10 @@ class ModelProbability:
         if not 0.0 < self.above < 1.0:
             raise InputDataError(f"ModelProbability.above is {self.above}; expected a probability between 0 and 1.")
 
-    def reason(self, standing: Standing) -> str | None:
+    def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        best = standing.belief.best.model
-        probable = standing.belief.probabilities[best] > self.above
+        best = state.belief.best.model
+        probable = state.belief.probabilities[best] > self.above
         return f"{best} has a probability above {self.above:g}" if probable else None
 
 
@@ -146,9 +146,9 @@ class CauseProbability:
         above: its posterior probability, in a campaign that looks for the cause of a gap.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.campaign import CauseProbability, Finding, Standing
+    >>> from imr_torch.campaign import CauseProbability, Finding, CampaignState
     >>> found = Finding("effect", ("wall",), {"wall": 0.96, "other": 0.04}, "Adequate.", True, 1e-6)
-    >>> CauseProbability(above=0.9).reason(Standing(wide_prior(["nhkv"]), experiments=(), finding=found))
+    >>> CauseProbability(above=0.9).reason(CampaignState(wide_prior(["nhkv"]), experiments=(), finding=found))
     'the cause wall has a probability above 0.9'
     """
 
@@ -158,9 +158,9 @@ class CauseProbability:
         if not 0.0 < self.above < 1.0:
             raise InputDataError(f"CauseProbability.above is {self.above}; expected a probability between 0 and 1.")
 
-    def reason(self, standing: Standing) -> str | None:
+    def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        found = standing.finding
+        found = state.finding
         if found is None or found.leader is None or not found.converged:
             return None
         if found.probabilities[found.leader] <= self.above:
@@ -177,8 +177,8 @@ class GainBelow:
         nats: least expected information gain worth an experiment.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.campaign import GainBelow, Standing
-    >>> GainBelow(nats=0.5).reason(Standing(wide_prior(["nhkv"]), experiments=(), gain=0.4))
+    >>> from imr_torch.campaign import GainBelow, CampaignState
+    >>> GainBelow(nats=0.5).reason(CampaignState(wide_prior(["nhkv"]), experiments=(), gain=0.4))
     'the expected information gain of the next design is below 0.5 nats'
     """
 
@@ -188,9 +188,9 @@ class GainBelow:
         if not 0.0 < self.nats < math.inf:
             raise InputDataError(f"GainBelow.nats is {self.nats}; expected a positive number of nats.")
 
-    def reason(self, standing: Standing) -> str | None:
+    def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        if standing.gain is None or standing.gain >= self.nats:
+        if state.gain is None or state.gain >= self.nats:
             return None
         return f"the expected information gain of the next design is below {self.nats:g} nats"
 
@@ -206,11 +206,11 @@ class Budget:
 
     >>> import torch
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.campaign import Budget, Standing
+    >>> from imr_torch.campaign import Budget, CampaignState
     >>> from imr_torch.observe import Experiment
     >>> times, radius = torch.tensor([[0.0, 0.5], [1.0, 0.84]], dtype=torch.float64)
     >>> shot = Experiment("shot 1", (400.0, 0.22), times, radius[None])
-    >>> Budget(total=5.0, per_design=3.0).reason(Standing(wide_prior(["nhkv"]), (shot,)))
+    >>> Budget(total=5.0, per_design=3.0).reason(CampaignState(wide_prior(["nhkv"]), (shot,)))
     '3 of the budget of 5 are spent'
     """
 
@@ -226,11 +226,10 @@ class Budget:
                 "expected finite numbers >= 0, and a cost of something."
             )
 
-    def reason(self, standing: Standing) -> str | None:
+    def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
         costs, lost = (
-            [self.per_design + self.per_curve * e.repeats for e in group]
-            for group in (standing.experiments, standing.forgotten)
+            [self.per_design + self.per_curve * e.repeats for e in group] for group in (state.experiments, state.forgotten)
         )
         following = [*lost, *costs][-1] if costs or lost else self.per_design + self.per_curve
         spent = sum(costs) + sum(lost)
@@ -248,17 +247,17 @@ class AnyOf:
         rules: the rules; the first that has a reason gives it.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.campaign import AnyOf, Designs, GainBelow, Standing
+    >>> from imr_torch.campaign import AnyOf, Designs, GainBelow, CampaignState
     >>> rule = AnyOf((Designs(10), GainBelow(0.5)))
-    >>> rule.reason(Standing(wide_prior(["nhkv"]), experiments=(), gain=0.4))
+    >>> rule.reason(CampaignState(wide_prior(["nhkv"]), experiments=(), gain=0.4))
     'the expected information gain of the next design is below 0.5 nats'
     """
 
     rules: tuple[StoppingRule, ...]
 
-    def reason(self, standing: Standing) -> str | None:
+    def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        return next((reason for rule in self.rules if (reason := rule.reason(standing)) is not None), None)
+        return next((reason for rule in self.rules if (reason := rule.reason(state)) is not None), None)
 
 
 @dataclass(frozen=True)
@@ -269,9 +268,9 @@ class AllOf:
         rules: the rules, at least one.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.campaign import AllOf, Designs, GainBelow, Standing
+    >>> from imr_torch.campaign import AllOf, Designs, GainBelow, CampaignState
     >>> rule = AllOf((Designs(10), GainBelow(0.5)))
-    >>> rule.reason(Standing(wide_prior(["nhkv"]), experiments=(), gain=0.4)) is None  # ten designs are not shot yet
+    >>> rule.reason(CampaignState(wide_prior(["nhkv"]), experiments=(), gain=0.4)) is None  # ten designs are not shot yet
     True
     """
 
@@ -281,9 +280,9 @@ class AllOf:
         if not self.rules:
             raise InputDataError("AllOf.rules is empty; it would stop at once. Give at least one rule.")
 
-    def reason(self, standing: Standing) -> str | None:
+    def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        reasons = [rule.reason(standing) for rule in self.rules]
+        reasons = [rule.reason(state) for rule in self.rules]
         return None if None in reasons else " and ".join(filter(None, reasons))
 
 

@@ -13,7 +13,14 @@ _NOISE_LEVELS = 21  # quantiles of the noise in a predictive band
 
 
 def intervals(belief: ModelBelief) -> dict[str, list[float]]:
-    """Parameter -> [5 %, 50 %, 95 %] quantile, SI."""
+    """Parameter -> [5 %, 50 %, 95 %] quantile, SI.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.characterization import intervals
+    >>> low, middle, high = intervals(wide_prior(["nhkv"])["nhkv"])["mu"]
+    >>> low < middle < high
+    True
+    """
     return dict(zip(belief.names, belief.quantile(LEVELS).T.tolist(), strict=True))
 
 
@@ -37,6 +44,20 @@ def predictive_band(
         draws: posterior draws.
         seed: of the draws.
         times: ``E x T`` tensor, dimensionless, increasing; those of the frames when not given.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import assimilate
+    >>> from imr_torch.characterization import predictive_band
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, Noise, SimulatedLaboratory
+    >>> simulator, prior = PolytropicSimulator(), reference_case("soft-pa").prior
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=4)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
+    >>> result = assimilate(prior, ExperimentBatch((shot,), Noise()), simulator, seed=0)
+    >>> low, middle, high = predictive_band(result, prior, simulator, "nhkv", draws=20)
+    >>> bool((low < middle).all()), bool((middle < high).all())
+    (True, True)
     """
     fit, batch = result[model], result.batch
     part = posterior[model]

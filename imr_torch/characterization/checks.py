@@ -1,4 +1,4 @@
-"""What is refused before a characterisation begins: too few data for what is asked, and choices that there are not."""
+"""What is refused before a characterisation begins: too few data for what is asked, and unknown choices."""
 
 import math
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ def check_data(traces: TraceSet, shots: Sequence[CollapseShot], *, scores: bool,
 
 
 def check_choices(*, effort: str, frames: str, scatter_scale: float) -> None:
-    """Raise unless each choice is one that there is."""
+    """Raise unless each choice is a known one."""
     if not 0.0 < scatter_scale < math.inf:
         raise InputDataError(f"scatter_scale is {scatter_scale}; expected a positive number, for example {SCALE:g}.")
     if effort not in EFFORTS:

@@ -17,6 +17,11 @@ def medium_document(
         medium: the medium.
         found: what assumed values would change.
         posterior: of the most probable model, for what the curves say of uncertain values.
+
+    >>> from imr_torch.characterization import medium_document
+    >>> from imr_torch.observe import gel_medium
+    >>> sorted(medium_document(gel_medium()))
+    ['medium', 'medium_notes', 'medium_sensitivities']
     """
     learnt = () if posterior is None else medium.learnt(posterior)
     return {
@@ -42,6 +47,11 @@ def medium_of(
 
     Raises:
         InputDataError: as in :class:`imr_torch.observe.Statement` and :func:`imr_torch.observe.gel_medium`.
+
+    >>> from imr_torch import example_gel, load_traces
+    >>> from imr_torch.characterization import medium_of
+    >>> medium_of(load_traces(example_gel()), "water,temperature=310").surroundings.temperature
+    310.0
     """
     if isinstance(medium, GelMedium):
         return medium

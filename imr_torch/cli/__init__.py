@@ -73,13 +73,14 @@ def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
         _check_targets(args)
         with args.terminal, warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the certificate is printed with the result
+            warnings.filterwarnings("ignore", "A not p.d., added jitter", RuntimeWarning)  # of a surrogate that is only searched
             _run(args)
         sys.stdout.flush()
     except ConvergenceError as error:
         return _ended(f"not converged: {error}", 1)
     except ImrError as error:
         return _ended(str(error), 2)
-    except BrokenPipeError:  # whoever read the output has gone
+    except BrokenPipeError:  # what reads the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:  # a full disk, a folder without permission

@@ -10,12 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.characterization import medium_of
-from imr_torch.cli.figures import save
 from imr_torch.cli.options.names import DEFAULT_MODELS
 from imr_torch.cli.progress import Stage, Terminal
 from imr_torch.errors import InputDataError
@@ -175,13 +172,6 @@ def progress_of(args: argparse.Namespace, stages: Sequence[Stage] = (), label: s
     terminal = getattr(args, "terminal", None) or Terminal(args.command, verbose=getattr(args, "verbose", False), live=False)
     terminal.plan(stages, label)
     return terminal
-
-
-def save_figure(ax: Axes, folder: Path, name: str) -> Path:
-    """Save the figure of ``ax`` as PNG and PDF and close it; the path of the PNG."""
-    figure = ax.figure
-    assert isinstance(figure, Figure)
-    return save(figure, folder, name)[0]
 
 
 def command_line(args: argparse.Namespace) -> str:

@@ -16,6 +16,7 @@ from imr_torch.results import NamedFigure
 matplotlib.use("Agg")  # commands write files and open no window
 
 FORMATS = ("png", "pdf", "svg")
+WRITTEN = ("png", "pdf")  # where a command is not asked for others
 _DPI = 150
 
 
@@ -37,23 +38,24 @@ def subfolder(label: str) -> str:
     return file_name(label)
 
 
-def save(figure: Figure, folder: Path, name: str, formats: Sequence[str] = ("png", "pdf")) -> list[Path]:
-    """Save a figure in each format, atomically, and close it."""
+def save(figure: Figure, folder: Path, name: str, formats: Sequence[str] = ()) -> list[Path]:
+    """Save a figure in each format (none named: ``WRITTEN``), atomically, and close it; its layout is that of the first one."""
     paths = []
     try:
-        for kind in formats:
+        for kind in formats or WRITTEN:
             path = folder / f"{name}.{kind}"
             with plt.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # text stays text
                 write_atomically(path, lambda stream, kind=kind: figure.savefig(stream, format=kind, dpi=_DPI))
             paths.append(path)
+            figure.set_layout_engine("none")  # else made anew for each format
     finally:
         plt.close(figure)
     return paths
 
 
-def save_figures(figures: Sequence[NamedFigure], folder: Path, formats: Sequence[str] = ("png", "pdf")) -> int:
+def save_figures(figures: Sequence[NamedFigure], folder: Path, formats: Sequence[str] = ()) -> int:
     """Draw and save figures; one that fails is named on standard error and costs no other. Returns how many were saved."""
-    count = 0
+    count, formats = 0, tuple(formats) or WRITTEN
     for item in figures:
         try:
             save(item.draw(), folder, item.name, formats)

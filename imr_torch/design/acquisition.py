@@ -141,8 +141,8 @@ class ExpectedInformationGain(AcquisitionFunction):
         """
         if X.requires_grad and torch.is_grad_enabled():
             raise UnsupportedError(
-                "ExpectedInformationGain has no gradient with respect to the designs; call optimize_acqf with "
-                'options={"with_grad": False}, or use search_design.'
+                "ExpectedInformationGain has no gradient with respect to the designs; pass optimize_acqf or "
+                'optimize_acqf_mixed options={"with_grad": False}, or use search_design.'
             )
         values = [self.estimate(designs).value for designs in X.reshape(-1, *X.shape[-2:])]
         return torch.tensor(values, dtype=X.dtype, device=X.device).reshape(X.shape[:-2])

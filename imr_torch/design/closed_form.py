@@ -1,4 +1,4 @@
-"""What is known exactly about a linear-Gaussian experiment, by dense algebra: the measure of every estimator."""
+"""What is known exactly about a linear-Gaussian experiment, by dense algebra; estimators are tested against it."""
 
 import torch
 from jaxtyping import Float
@@ -27,6 +27,12 @@ def linear_gaussian_gain(
 
     Raises:
         ShapeError: if the shapes do not fit.
+
+    >>> import torch
+    >>> from imr_torch.design import linear_gaussian_gain
+    >>> slopes, noise = torch.tensor([[3.0]], dtype=torch.float64), torch.eye(1, dtype=torch.float64)
+    >>> round(float(linear_gaussian_gain(slopes, noise)), 4)  # 1/2 log(1 + 3^2)
+    1.1513
     """
     m, d = sensitivity.shape[-2:]
     covariance = torch.eye(d, dtype=sensitivity.dtype, device=sensitivity.device) if prior is None else prior

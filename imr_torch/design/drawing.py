@@ -41,7 +41,7 @@ def normal_controls(shot: Shot, draws: int, source: torch.Generator) -> list[Flo
 
 
 def cloud_controls(shot: Shot, draws: int, source: torch.Generator) -> list[Float[Tensor, "draws _"]]:
-    """Draws of each model, from its cloud if it has one."""
+    """Draws of each model, ``draws x d``: from its stored posterior draws (``cloud``), or its Gaussian if it has none."""
     drawn = normal_controls(shot, draws, source)
     for i, part in enumerate(shot.belief.models):
         if part.cloud is not None:

@@ -51,6 +51,16 @@ def expected_information_gain(
 
     Raises:
         ShapeError: if ``designs`` is not ``q x 2``.
+
+    >>> from imr_torch.material import reference_case
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> prior, design = reference_case("soft-pa").prior, torch.tensor([[400.0, 0.2]], dtype=torch.float64)
+    >>> gains = [
+    ...     expected_information_gain(prior, design, PolytropicSimulator(), Plan(repeats=n), estimator=Laplace(8), seed=0)
+    ...     for n in (1, 10)
+    ... ]
+    >>> gains[0].value < gains[1].value  # ten curves tell more than one
+    True
     """
     if designs.ndim != 2 or designs.shape[0] < 1 or designs.shape[1] != 2:
         raise ShapeError(f"designs has shape {tuple(designs.shape)}; expected q x 2 with (We, R_inf*).")
@@ -72,11 +82,11 @@ def gains_of_each(
     The same as :func:`expected_information_gain` of one after the other with one seed.
 
     Args:
-        belief: as there.
+        belief: what is thought of the gel now.
         designs: (We, R_inf*).
-        simulator: as there.
-        plan: as there.
-        estimator: as there.
+        simulator: makes the bubbles.
+        plan: how they will be observed.
+        estimator: how the gain is estimated; ``Laplace()`` if None.
         seed: of draws and noise.
 
     Returns:
@@ -84,6 +94,12 @@ def gains_of_each(
 
     Raises:
         ShapeError: if ``designs`` is not ``n x 2``.
+
+    >>> from imr_torch.material import reference_case
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> prior, designs = reference_case("soft-pa").prior, torch.tensor([[400.0, 0.2], [700.0, 0.25]], dtype=torch.float64)
+    >>> len(gains_of_each(prior, designs, PolytropicSimulator(), Plan(), estimator=Laplace(draws=4), seed=0))
+    2
     """
     return [expected_information_gain(belief, X, simulator, plan, estimator=estimator, seed=seed) for X in designs.split(1)]
 
@@ -95,6 +111,10 @@ class Bracket:
     Args:
         lower: estimate whose expected value is below the gain.
         upper: estimate whose expected value is above it.
+
+    >>> bounds = Bracket(InformationGain(2.9, 0.4, 0.01, 64, 64), InformationGain(3.1, 0.4, 0.01, 64, 64))
+    >>> round(bounds.upper.value - bounds.lower.value, 3)
+    0.2
     """
 
     lower: InformationGain

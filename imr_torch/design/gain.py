@@ -163,6 +163,11 @@ class ErrorParts:
     Args:
         own: variances such that two of them sum, on average over pairs, to the variance of a difference.
         common: variance of the mean of the gains, which shifts all of them alike.
+
+    >>> from imr_torch.design import ErrorParts
+    >>> errors = ErrorParts(own=torch.tensor([0.01, 0.02]), common=0.09)
+    >>> round(float(errors.own.sum().sqrt()), 3)  # standard deviation of the difference of the two gains
+    0.173
     """
 
     own: Float[Tensor, "designs"]

@@ -8,7 +8,8 @@ For draws ``v_n`` of the belief with prediction ``f_n`` and sensitivity ``J_n``,
 with the evidence of a datum under its own model linearised at its own gel. Under a rival model the gel that explains the datum
 best may be far from all draws, and a linearisation there can be hundreds of nats too low; so it is found by Gauss-Newton
 steps from one of them. These cost more bubbles than all the rest, which is why only some data enter the model part. A
-belief that bends is drawn from its cloud, with its own precision about each draw in the place of 1.
+belief whose posterior is curved is represented by draws of it (its ``cloud``), each with the local precision of the posterior
+in place of the identity.
 """
 
 import math
@@ -118,12 +119,12 @@ def _windowed(data: Data, gels: Response, shot: Shot) -> tuple[Data, Response, S
 def _information(part: ModelBelief, gels: Response, linear: Linear) -> Tensor:
     """``1/2 log det(P + J^T J) - 1/2 log det P`` at each gel, with ``P`` the precision of the belief there: ``n``.
 
-    The belief's own Gaussian has ``P = 1``. Where the belief bends, that Gaussian is far wider than the belief is anywhere, and
-    would credit a design with what is known already.
+    The belief's own Gaussian has ``P = 1``. Where the posterior is curved, that Gaussian is far wider than the posterior is
+    locally, and would count as information what is known already.
     """
     if part.cloud is None:
         return linear.information
-    at = part.mean + gels.controls @ part.chol.mT
+    at = part.unwhitened(gels.controls)
     closest = torch.cdist(at, part.cloud.controls, compute_mode="donot_use_mm_for_euclid_dist").argmin(1)
     before = part.chol.mT @ part.cloud.precisions[closest] @ part.chol
     gained = linear.chol @ linear.chol.mT - torch.eye(before.shape[-1], dtype=before.dtype)

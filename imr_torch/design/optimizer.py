@@ -49,6 +49,10 @@ class Strategy:
             compares with the incumbent's mean alone (qLogEI): joint draws of all scattered designs cost ten times more.
         improvement: least improvement that counts with ``"qEI"``, in units of the utility.
         incumbent: what counts as the best so far, and is recommended.
+
+    >>> from imr_torch.design import Strategy
+    >>> Strategy("qEI", improvement=0.01).incumbent
+    'posterior mean'
     """
 
     acquisition: Literal["qLogNEI", "qEI"] = "qLogNEI"
@@ -78,6 +82,11 @@ class Recommendation:
         design: (We, R_inf*).
         mean: posterior mean of the utility there (over the scatter of what is achieved; per cost if there is one).
         sd: its posterior standard deviation.
+
+    >>> from imr_torch.design import Recommendation
+    >>> best = Recommendation(torch.tensor([400.0, 0.2]), mean=6.3, sd=0.1)
+    >>> f"We = {best.design[0]:.0f}: {best.mean} +- {best.sd} nats"
+    'We = 400: 6.3 +- 0.1 nats'
     """
 
     design: Real[Tensor, "2"]
@@ -96,6 +105,13 @@ class DesignOptimizer:
         initial: space-filling designs before the surrogate is used.
         strategy: how designs are chosen.
         cost: of an experiment; 1 when not given.
+
+    >>> from imr_torch.design import DesignOptimizer, DesignSpace
+    >>> optimizer = DesignOptimizer(DesignSpace(), seed=0, initial=8)
+    >>> X = optimizer.ask(8)
+    >>> optimizer.tell(X, -((X[:, :1] - 500.0) / 300.0) ** 2, torch.full((8, 1), 1e-4, dtype=torch.float64))
+    >>> abs(float(optimizer.recommend().design[0]) - 500.0) < 50.0  # the maximum of what was told is at We = 500
+    True
     """
 
     def __init__(
@@ -156,7 +172,7 @@ class DesignOptimizer:
         self.train_Yvar = torch.cat((self.train_Yvar, Yvar.to(self.train_Yvar)))
 
     def model(self) -> SingleTaskGP:
-        """The surrogate fitted to everything told so far, of the utility per cost; blind to the scatter of designs."""
+        """The surrogate fitted to everything told so far, of the utility per cost; without the scatter of achieved designs."""
         return self._fit(Normalize(d=2, bounds=self.space.bounds))
 
     def recommend(self) -> Recommendation:
@@ -196,7 +212,8 @@ class DesignOptimizer:
                 self.train_X,
                 value,
                 variance.clamp_min(_LEAST_NOISE * float(value.var())),
-                covar_module=get_matern_kernel_with_gamma_prior(2),  # without a prior, a flat axis has no length scale
+                # an axis along which the utility does not change has no length scale unless there is a prior of it
+                covar_module=get_matern_kernel_with_gamma_prior(2),
                 input_transform=transform,
                 outcome_transform=Standardize(m=1),
             )

@@ -25,6 +25,11 @@ class Plan:
         noise: observation noise of one curve.
         nuisance: errors of the measured design and clock, marginalised.
         collapses: collapses in the window that will be assimilated; None for all frames.
+
+    >>> from imr_torch.design import Plan
+    >>> plan = Plan(repeats=10, collapses=1)
+    >>> plan.window(0.6 + 0.4 * torch.cos(3.0 * plan.times)).sum()  # frames up to the first minimum of a curve
+    tensor(22)
     """
 
     times: Float[Tensor, "frames"] = field(default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64))

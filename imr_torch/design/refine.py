@@ -65,7 +65,7 @@ def refine(
         close: distance of the linearised optimum, in posterior standard deviations, at which a datum is left alone.
         both_lengths: whether a shorter step is tried beside the whole one; if not, it is tried the next time, where the whole
             one failed.
-        floor: data whose linearised evidence is below are left alone, at the start if it is far below.
+        floor: data whose linearised evidence falls below this are not refined further; far below it, not at all.
     """
     length = torch.ones(len(data), 1, dtype=torch.float64)
     lengths = (1.0, _SHORTER) if both_lengths else (1.0,)

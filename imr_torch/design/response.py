@@ -1,4 +1,6 @@
-"""What the camera would see of draws of a belief, and how it changes with gel and nuisances: the only use of the simulator.
+"""What the camera would see of draws of a belief, and how it changes with gel and nuisances.
+
+Of this stage, only this module calls the simulator.
 
 Controls ``v`` are those in which the belief is a standard normal, so a sensitivity is per standard deviation of what is
 believed now, whatever the units of the parameters.
@@ -11,12 +13,12 @@ import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
+from imr_torch.assimilate.posterior import STEP
 from imr_torch.design.plan import Plan
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Film, predict
 from imr_torch.simulate import Simulator
 
-_STEP = 1e-4  # finite-difference step, in standard deviations of the belief; members of a bundle differ by nothing else
 _NEGLIGIBLE = 1e-4  # a model less probable than this changes the gain by less than .001 nats
 
 
@@ -29,6 +31,14 @@ class Shot:
         designs: (We, R_inf*).
         simulator: makes the bubbles.
         plan: how they are observed.
+
+    >>> from imr_torch.design import Plan, Shot
+    >>> from imr_torch.material import reference_case
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> designs = torch.tensor([[400.0, 0.2], [700.0, 0.25]], dtype=torch.float64)
+    >>> shot = Shot(reference_case("soft-pa").prior, designs, PolytropicSimulator(), Plan())
+    >>> shot.film.times.shape  # 81 frames of each design
+    torch.Size([2, 81])
     """
 
     belief: Belief
@@ -88,7 +98,7 @@ class Response:
 
 def radii(shot: Shot, part: ModelBelief, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch designs frames"]:
     """R/Rmax of gels at controls; NaN where the solve failed."""
-    return predict(shot.simulator, part.parameters(part.mean + controls @ part.chol.mT), shot.film)
+    return predict(shot.simulator, part.to_si(controls), shot.film)
 
 
 def respond(shot: Shot, part: ModelBelief, controls: Float[Tensor, "draws controls"], *, gel: bool = True) -> Response:
@@ -106,9 +116,9 @@ def respond(shot: Shot, part: ModelBelief, controls: Float[Tensor, "draws contro
     moved = torch.zeros(1 + d + len(uncertain), controls.shape[1], dtype=torch.float64)
     shifts = torch.zeros(len(moved), 1, 3, dtype=torch.float64)
     for row, (target, column) in enumerate([(moved, i) for i in range(d)] + [(shifts[:, 0], i) for i in uncertain], start=1):
-        target[row, column] = _STEP
-    parameters = part.parameters(part.mean + (controls[:, None] + moved) @ part.chol.mT)
+        target[row, column] = STEP
+    parameters = part.to_si(controls[:, None] + moved)
     displacement = (shifts * sds).expand(len(controls), -1, q, -1) if uncertain else None
     radius = predict(shot.simulator, parameters, shot.film, displacement, bundled=True)
-    slopes = ((radius[:, 1:] - radius[:, :1]) / _STEP).movedim(1, -1)
+    slopes = ((radius[:, 1:] - radius[:, :1]) / STEP).movedim(1, -1)
     return Response(controls, radius[:, 0], slopes[..., :d], slopes[..., d:])

@@ -35,6 +35,14 @@ class DesignSearch:
         optimizer: the optimizer, whose surrogate can be drawn.
         pending: joint gain of the designs that were pending; None if there were none.
         earlier: the searches for the designs before, of a search for several.
+
+    >>> from imr_torch.design import Laplace
+    >>> from imr_torch.material import reference_case
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> gain = ExpectedInformationGain(reference_case("soft-pa").prior, PolytropicSimulator(), Laplace(draws=2, rivals=2))
+    >>> search = search_design(gain, seed=0, evaluations=3, initial=2)
+    >>> len(search.gains), bool((search.chosen[0] == search.recommendation.design).all())
+    (3, True)
     """
 
     recommendation: Recommendation
@@ -142,6 +150,12 @@ class SearchSettings:
         strategy: how designs are chosen.
         cost: of an experiment.
         common: whether all evaluations share their draws.
+
+    >>> designs = torch.tensor([[200.0, 0.2], [500.0, 0.2], [800.0, 0.2]], dtype=torch.float64)
+    >>> gains = [InformationGain(value, 0.0, variance=0.01, counted=8, drawn=8) for value in (4.0, 6.0, 4.0)]
+    >>> best = SearchSettings(seed=0, initial=2, common=False).finish(DesignSpace(), designs, gains, None).recommendation
+    >>> 300.0 < float(best.design[0]) < 700.0
+    True
     """
 
     seed: int

@@ -1,8 +1,8 @@
-"""The designs a laboratory can shoot: a box in (We, R_inf*), perhaps with settings, and how far the shot then misses.
+"""The designs a laboratory can shoot: a box in (We, R_inf*), perhaps with settings, and the scatter of achieved designs.
 
 Nozzles, lenses and laser energies come in steps: either axis can be a list of settings, or the whole space a list of
 designs. What is asked for is not what is achieved; ``scatter`` says by how much, and the search then looks for the design
-whose *achieved* neighbourhood tells most.
+that is most informative on average over what is then achieved.
 """
 
 import math
@@ -33,6 +33,11 @@ class DesignSpace:
         designs: whole designs that can be asked for, in place of settings.
         scatter: relative standard deviations of the achieved We and R_inf* about what was asked (log-normal); what is
             achieved is measured.
+
+    >>> from imr_torch.design import DesignSpace
+    >>> space = DesignSpace(weber=(150.0, 600.0), weber_settings=(200.0, 400.0))
+    >>> space.bounds.tolist(), space.fixed_features
+    ([[150.0, 0.14], [600.0, 0.3]], [{0: 200.0}, {0: 400.0}])
     """
 
     weber: tuple[float, float] = (100.0, 1000.0)

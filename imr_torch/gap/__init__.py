@@ -6,12 +6,12 @@ from imr_torch.gap.document import to_json
 from imr_torch.gap.fit_test import FitTest, check_fit
 from imr_torch.gap.ladder import Ladder, Rung
 from imr_torch.gap.medium import MediumSensitivity, medium_sensitivities
-from imr_torch.gap.noise import noise_of_traces
 from imr_torch.gap.page import write_page
 from imr_torch.gap.parts import MOST, Parts, examine
 from imr_torch.gap.report import describe
-from imr_torch.gap.sets import load_set
 from imr_torch.material import LIBRARY, Effect, library, register_effect
+from imr_torch.observe.roughness import noise_of_traces
+from imr_torch.observe.sets import load_set
 
 __all__ = [
     "LIBRARY",

@@ -18,9 +18,9 @@ from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.diagnose import GapReport, diagnose
 from imr_torch.gap.forecast import unknown_like
 from imr_torch.gap.identity_design import NextDesign, identity_design
-from imr_torch.gap.noise import noise_of_traces
 from imr_torch.material import Belief, ModelBelief, library
 from imr_torch.observe import ExperimentBatch
+from imr_torch.observe.roughness import noise_of_traces
 from imr_torch.random import child
 from imr_torch.simulate import Simulator, coarser, described
 from imr_torch.types import Progress

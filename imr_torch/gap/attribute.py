@@ -10,7 +10,7 @@ been taken for the best known one (:mod:`imr_torch.gap.lookalike`).
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
@@ -160,7 +160,8 @@ def reconsider(
     batch, simulator = inquiry.batch, inquiry.simulator
     starts = {effect.name: _near_values(beside, effect)}
     alone = Hypothesis(inquiry.base, (effect,))
-    fit = fit_hypotheses([alone], beside, batch, simulator, seed=seed, starts=starts, options=_FIT)[alone.name]
+    options = replace(_FIT, rival=found.fits[found.winner].cost)
+    fit = fit_hypotheses([alone], beside, batch, simulator, seed=seed, starts=starts, options=options)[alone.name]
     if laplace_evidence(fit) <= found.log_evidence[found.winner]:
         return found
     null = found.fits[NONE]

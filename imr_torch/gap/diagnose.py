@@ -22,13 +22,12 @@ from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, Effect, ModelBelief, library, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import child
-from imr_torch.simulate import ACCURACIES, PolytropicSimulator, Simulator, TransportSimulator, with_inner
+from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator, fewer_steps
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 _NO_GAP = 0.5  # probability of the base model alone from which on there is no gap
 _UNKNOWN = 0.5  # probability of an unknown effect from which on the verdict is "other", once further effects were tried
-_STEPS = 600  # of a polytropic bubble: a relaxation time of .3 us takes 480, most gels 200
 _FURTHER = 3.0  # nats that an effect must explain to count as more than nothing
 
 
@@ -142,7 +141,7 @@ def diagnose(
     effects = tuple(library(base=base.model) if effects is None else effects)
     if not effects:
         raise InputDataError(f"No effect is left that can be put on {base.model!r}; known are {', '.join(LIBRARY)}.")
-    simulator = impatient(simulator or TransportSimulator(accuracy=ACCURACIES["search"]))
+    simulator = fewer_steps(simulator or TransportSimulator(accuracy=ACCURACIES["search"]))
     batch = ExperimentBatch(tuple(experiments), noise or Noise())
     null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
     base_left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
@@ -171,21 +170,6 @@ def diagnose(
         choice=found.choice,
         steps=found.steps,
     )
-
-
-def impatient(simulator: Simulator) -> Simulator:
-    """The simulator, with few steps if it is polytropic.
-
-    Explicit steps become very short where the relaxation time of a gel is short; good fits do not end there.
-    """
-    return with_inner(simulator, _impatient)
-
-
-def _impatient(simulator: Simulator) -> Simulator:
-    if not isinstance(simulator, PolytropicSimulator):
-        return simulator
-    stepping = simulator.stepping
-    return replace(simulator, stepping=replace(stepping, max_steps=min(stepping.max_steps, _STEPS)))
 
 
 @dataclass(frozen=True)

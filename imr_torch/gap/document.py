@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.dense import dense_curve
+from imr_torch.files import drawn_numbers
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.identity_design import NextDesign
@@ -174,8 +175,7 @@ def dense_curves(
 
 def _drawn(times: Tensor, radius: Tensor) -> dict[str, list[float | None]]:
     """A curve for JSON, which has no NaN."""
-    rounded = [[round(x, 7) if math.isfinite(x) else None for x in values.tolist()] for values in (times, radius)]
-    return {"t_star": rounded[0], "R_star": rounded[1]}
+    return {"t_star": drawn_numbers(times), "R_star": drawn_numbers(radius)}
 
 
 def _design(found: NextDesign) -> dict[str, Any]:

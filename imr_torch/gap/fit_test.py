@@ -2,7 +2,7 @@
 
 No effect of the library is tried, so it costs a few dozen bubbles and names no cause; :func:`imr_torch.gap.diagnose` does both.
 Noise that was estimated from the residuals of the fit cannot be used: a misfit would widen it and so hide itself. The noise is
-taken from the frame-to-frame roughness of the curves (:func:`imr_torch.gap.noise_of_traces`), as in a diagnosis of curves.
+taken from the frame-to-frame roughness of the curves (:func:`imr_torch.observe.noise_of_traces`), as in a diagnosis of curves.
 """
 
 import time
@@ -15,11 +15,11 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.gap.linear import Linearisation, curves, linearise, shifted
-from imr_torch.gap.noise import noise_of_traces
 from imr_torch.gap.phases import phase_clock, phase_name
 from imr_torch.gap.score import LEVEL, gap_test, generic_blocks
 from imr_torch.labels import p_value
 from imr_torch.observe import ExperimentBatch, Noise
+from imr_torch.observe.roughness import noise_of_traces
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 

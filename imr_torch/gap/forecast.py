@@ -7,7 +7,7 @@ of the state), each effect as likely as the next. Beside the leader's fit a refe
 by ``l`` standard deviations, all that was fitted projected out. An unknown effect is no reference exactly, so its size is not
 learnt from the data as theirs would be; but it cannot leave much more than ``m`` = 3 (:data:`imr_torch.gap.lookalike.LIKE`), or
 it would not look like the leader. Its amplitude has mean 0 and variance ``1 / (1 + (l / m)^2)``, in units of the typical size;
-a law of the state, which has none, may change the data by some 30 standard deviations before the gel is refitted.
+a generic stress law, which has none, may change the data by some 30 standard deviations before the gel is refitted.
 """
 
 import math
@@ -29,7 +29,7 @@ from imr_torch.design.response import Response, Shot
 from imr_torch.errors import ConvergenceError
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.lookalike import LIKE
-from imr_torch.gap.score import STATE_LAW, law_steps
+from imr_torch.gap.score import LEAST_LEFT, STATE_LAW, law_steps
 from imr_torch.gap.verdict import OTHER
 from imr_torch.material import LIBRARY, PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import ExperimentBatch, Nuisance, predict
@@ -38,8 +38,7 @@ from imr_torch.simulate import Simulator
 
 _REFINEMENTS, _CLOSE, _BEHIND = 3, 0.5, 30.0  # as in the estimator of the gain about the model
 _LAWS = {name for step in law_steps() for name in step}
-_LARGEST = 30.0  # sd that a law of the state changes the data by, at most; it has no typical size
-_LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones
+_LARGEST = 30.0  # sd that a generic stress law changes the data by, at most; it has no typical size
 
 
 def plan_of(batch: ExperimentBatch) -> Plan:
@@ -132,7 +131,7 @@ def unknown_like(leader: str, fit: ModelFit, left: Adequacy) -> Unknown | None:
     rows = torch.stack([row for _, row, _ in references])
     beside = line.project(rows)
     square = beside.square().sum(1)
-    kept = torch.nonzero(square > _LEFT * rows.square().sum(1).clamp_min(1e-300))[:, 0]
+    kept = torch.nonzero(square > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300))[:, 0]
     if not len(kept):
         return None
     laws = torch.tensor([set(step) <= _LAWS for step, *_ in references])

@@ -1,4 +1,4 @@
-"""What next? The design that best tells the remaining causes apart.
+"""The next design: the one that best tells the remaining causes apart.
 
 The causes left by a diagnosis are the models of one belief: each a fit with its posterior, weighed by its probability, and an
 unknown effect that looks like the leader (:mod:`imr_torch.gap.forecast`). The information that an experiment is expected to

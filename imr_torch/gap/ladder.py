@@ -26,7 +26,7 @@ from imr_torch.types import Progress
 
 _FURTHER = 3.0  # nats that an effect must explain to be added or kept
 _CANDIDATES = 6  # effects that are fitted in a later step
-_FIT = SearchOptions(starts=2, iterations=30, drop_behind=6.0, basin_rounds=0, polish=False)
+_FIT = SearchOptions(starts=2, iterations=12, drop_behind=6.0, basin_rounds=0, polish=False)
 _FINISH = SearchOptions(starts=2, iterations=12, basin_rounds=0, polish=False)  # slow ones end uncertified, and say so
 _CLEAR = 10.0  # standard deviations from zero at which an effect is kept: some 50 nats
 _LESS = 0.7  # second start of an effect over its first
@@ -302,7 +302,8 @@ def _without_superfluous(
             break
         first, *shape = fit.parameters(fit.mean)[PARAMETERS.index(last.names)].tolist()
         starts = {last.name: [(first, *shape), (_LESS * first, *shape)]}
-        found = fit_hypotheses(tried, fit, inquiry.batch, inquiry.simulator, seed=seed, starts=starts, options=_FIT)
+        options = replace(_FIT, rival=fit.cost)
+        found = fit_hypotheses(tried, fit, inquiry.batch, inquiry.simulator, seed=seed, starts=starts, options=options)
         best = max(tried, key=lambda h: laplace_evidence(found[h.name]))
         if laplace_evidence(found[best.name]) < laplace_evidence(fit) - _FURTHER:
             break

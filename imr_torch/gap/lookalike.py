@@ -3,7 +3,7 @@
 All of it is geometry at a fit: whitened changes of the curves with everything fitted (gel and nuisances) projected out
 (:mod:`imr_torch.gap.linear`). Two effects whose directions enclose an angle ``a`` differ by ``s sin a`` standard deviations
 when one of them shows with ``s``. An unknown effect is represented by reference directions: every effect of the library in
-turn, left out with its family, and random laws of the state. Its best likeness among the effects that are left explains ``s``
+turn, left out with its family, and random stress laws. Its best likeness among the effects that are left explains ``s``
 standard deviations and leaves ``s tan a``; the gap test is then run on what is left, with noise. How often it does not reject
 is the chance that an unknown effect looks like a known one; the whole distribution of its p-value, over the uniform one of
 the right effect, is the Bayes factor of an unknown effect given the p-value that was found.
@@ -18,14 +18,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.gap.linear import Linearisation
-from imr_torch.gap.score import ADEQUATE, STATE_LAW, block, log_survival
+from imr_torch.gap.score import ADEQUATE, LEAST_LEFT, STATE_LAW, block, log_survival
 from imr_torch.material import Effect
 from imr_torch.random import child, generator
 
 LIKE = 3.0
 """Standard deviations that one effect must leave of another to be told from it: 4.5 nats on average, or odds of 1 to 90."""
-_LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones
-_LAWS = 28  # random combinations of the laws of the state
+_LAWS = 28  # random combinations of the generic stress functions
 _OBVIOUS, _OBVIOUS_RANK = 12.0, 3  # standard deviations left that every draw rejects, and the rank of a block that does
 _NOISES = 12  # noise draws for each reference direction
 _CALIBRATION = 400  # draws of noise alone
@@ -250,7 +249,7 @@ def _coordinates(rows: Mapping[str, Tensor], generic: Mapping[str, Tensor], line
 def _unit(rows: Tensor, line: Linearisation) -> Tensor:
     """Unit rows of what is left beside the fitted directions; those of which nothing is left are dropped."""
     left = line.project(rows)
-    left = left[left.square().sum(1) > _LEFT * rows.square().sum(1).clamp_min(1e-300)]
+    left = left[left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)]
     return left / left.norm(dim=1, keepdim=True)
 
 
@@ -261,13 +260,13 @@ def _stacked(library: Mapping[str, Tensor]) -> tuple[Tensor, list[str]]:
 
 
 def _random_laws(laws: Tensor, source: torch.Generator) -> Tensor:
-    """Random combinations of the laws of the state."""
+    """Random combinations of the generic stress functions of :mod:`imr_torch.material.closure`."""
     mixed = torch.randn(_LAWS if len(laws) else 0, len(laws), generator=source, dtype=torch.float64) @ laws
     return mixed / mixed.norm(dim=1, keepdim=True)
 
 
 def _weights(names: Sequence[str], generic: Mapping[str, Tensor]) -> Tensor:
-    """Weight of each reference direction: every effect counts as one, and so does every law of the state."""
+    """Weight of each reference direction: every effect counts as one, and so does every random stress law."""
     own = [len(generic[STATE_LAW]) / names.count(n) if n == STATE_LAW else 1.0 / names.count(n) for n in names]
     weights = torch.tensor(own, dtype=torch.float64)
     return weights / weights.sum()

@@ -148,7 +148,7 @@ def _pictures(report: GapReport, parts: Parts, simulator: Simulator | None) -> l
         made.append(Placed(where, Picture(caption, alt, _windows(windows))))
     if (latent := parts.latent) is not None:
         alt = f"Line chart with a band; the mean reaches {float(latent.mean.abs().max()):.2g} of the outer pressure."
-        caption = f"The pressure afar that would explain the residual. {latent.caveat}"
+        caption = f"The far-field pressure that would explain the residual. {latent.caveat}"
         made.append(_picture(where, caption, alt, lambda: plots.plot_latent_pressure(latent)))
     if found is not None:
         top = max(found.posterior, key=found.posterior.__getitem__)

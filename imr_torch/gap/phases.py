@@ -14,12 +14,12 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from imr_torch.observe import collapse_time
+from imr_torch.observe.plausibility import RAYLEIGH_TIME
 
 PHASES = ("start", "first collapse", "first rebound", "second collapse", "later")
 """Phases of an event, in order."""
 
 _ENDS = (0.3, 1.25, 1.75, 2.25)  # phase clock at which each ends; what a collapse did is seen in the rise after it
-_RAYLEIGH = 0.915  # collapse time of an empty bubble, Rmax sqrt(rho/p)
 _QUIET = 1e-3  # chance of so small a sum of squares under the law, below which the law says too much
 
 
@@ -44,7 +44,7 @@ def phase_clock(
 def _clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
     t, r = times[mask], radius[mask]
     first, second = (collapse_time(t, r, number) for number in (1, 2))
-    first = _RAYLEIGH if math.isinf(first) else first
+    first = RAYLEIGH_TIME if math.isinf(first) else first
     later = (t > first) & (t < second)
     top = float(t[later][r[later].argmax()]) if bool(later.any()) else 2.0 * first
     second = 2.0 * top - first if math.isinf(second) else second

@@ -4,7 +4,7 @@ No effect of one gel explains two. Every curve is fitted by itself, and the evid
 population is that of the Gaussians about these fits, integrated over the population's median and scatters by quadrature
 (:mod:`imr_torch.population.quadrature`): as first-order as that of the effects that it is compared with. It is taken at the
 base model and beside the best effect, whose parameters are then the same in all curves. The hypothesis is adequate where the
-gap test rejects no curve at its own fit. It is not asked of sets with repeats: gels that differ do so there too.
+gap test rejects no curve at its own fit. It is not computed for sets with repeats, whose repeats may be of different gels too.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,10 +1,10 @@
 """Test for a gap: directed score tests on the residual of a fit, each in a few directions orthogonal to those fitted.
 
 A chi-square over all frames is nearly blind to a small effect, because it tests all directions at once. A block tests the few
-directions in which something definite would show: each effect of the library at a finite step, a generic law of the state,
-pressure pulses, parameters that change in time or between designs, distortions of the output. The smallest p-value over the
-blocks is calibrated against residuals drawn under the fitted model (Rao's score test; parametric bootstrap: Davison & Hinkley,
-Bootstrap Methods and their Application, 1997, section 4.2).
+directions in which something definite would show: each effect of the library at a finite step, a generic stress law
+(:mod:`imr_torch.material.closure`), pressure pulses, parameters that change in time or between designs, distortions of the
+output. The smallest p-value over the blocks is calibrated against residuals drawn under the fitted model (Rao's score test;
+parametric bootstrap: Davison & Hinkley, Bootstrap Methods and their Application, 1997, section 4.2).
 """
 
 import math
@@ -41,11 +41,12 @@ _LAWS = (
     ("law_velocity_squared", 1e-3),
     ("law_rate_squared", 1e-4),
 )  # of the generic closure, and coefficients at which its directions are taken
-STATE_LAW = "a law of the state"
+LEAST_LEFT = 1e-4
+"""Part of a direction's square that must be left beside the fitted directions for it to be tested."""
+STATE_LAW = "generic stress law"
 """Name of the block of the generic closure."""
 _SMALL = 0.05  # amplitude of a first start over the effect's own: so near the null fit that a descent ends below that
 _TYPICAL = (0.5, 1.5)  # bounds of that of a second
-_LEFT = 1e-4  # part of a direction's square that must be left beside the fitted ones to be tested
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ def promising_starts(effect: Effect, rows: Float[Tensor, "starts rows"], line: L
 def block(name: str, rows: Float[Tensor, "_ rows"], line: Linearisation) -> Block:
     """A block from whitened directions ``k x N``: projected, then reduced to an orthonormal set."""
     left = line.project(rows)
-    kept = left.square().sum(1) > _LEFT * rows.square().sum(1).clamp_min(1e-300)
+    kept = left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)
     left = left[kept]
     if not len(left):
         return Block(name, line.residual.new_zeros(len(line.residual), 0))
@@ -158,7 +159,7 @@ def generic_blocks(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, 
 def generic_rows(
     fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation
 ) -> dict[str, Float[Tensor, "_ rows"]]:
-    """Whitened rows that stand for no effect: a law of the state, pulses, drifting parameters, distorted output."""
+    """Whitened rows that stand for no effect: generic stress laws, pulses, drifting parameters, distorted output."""
     experiments, times = len(batch.experiments), batch.times
     last = float(times[batch.mask].max())
     changes = [*pulse_changes(batch).values(), *law_steps()]
@@ -206,7 +207,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     """Test all blocks, and everything at once by chi-square; calibrate the smallest p-value.
 
     Args:
-        blocks: what to ask for; a block with no direction left is passed over.
+        blocks: what is tested; a block with no direction left is skipped.
         line: local sensitivities at the fit.
         seed: of the residuals drawn under the fitted model.
     """

@@ -1,7 +1,7 @@
 """Apparent parameters over the event, each fitted to the frames of a moving window only.
 
-If constant parameters are right, windows agree within their uncertainty; if anything is amiss they drift. That is how Chu et
-al. (2026, arXiv 2606.13584) follow gels through a collapse, with an iterative ensemble Kalman smoother and multiple data
+If constant parameters are right, windows agree within their uncertainty; if the model lacks something, they drift. That is how
+Chu et al. (2026, arXiv 2606.13584) follow gels through a collapse, with an iterative ensemble Kalman smoother and multiple data
 assimilation; here each window is a Gauss-Newton fit from the common fit, every bubble still starting at its maximum at t* = 0.
 It shows whether and when constant parameters fail, but no cause, since any unmodelled effect makes parameters drift. It is a
 baseline for comparison, and no part of the verdict.

@@ -6,14 +6,12 @@ library. Coefficients are pressures over ``p_inf``; each does nothing at zero. `
 """
 
 from imr_torch.elementary import Scalar, sqrt
-from imr_torch.material.stress import StressTerm
-
-_SMOOTH = 0.02  # velocity below which |U| is rounded off
+from imr_torch.material.stress import SMOOTH, StressTerm
 
 
 def _signed_square(x: Scalar) -> tuple[Scalar, Scalar]:
     """``x|x|`` and its derivative."""
-    size = sqrt(x * x + _SMOOTH * _SMOOTH)
+    size = sqrt(x * x + SMOOTH * SMOOTH)
     return x * size, size + x * x / size
 
 

@@ -6,10 +6,9 @@ inferred with it. They are simple closures that act where the effect does, not c
 
 from imr_torch.elementary import Scalar, log, sqrt, where
 from imr_torch.material.elastic import neo_hookean, stiffening
-from imr_torch.material.stress import StressTerm
+from imr_torch.material.stress import SMOOTH, StressTerm
 from imr_torch.material.viscous import newtonian
 
-_SMOOTH = 0.02  # velocity below which |U| and sign(U) are rounded off
 _SLOWEST = 0.1  # shear rate below which a yield stress is left out
 
 
@@ -22,7 +21,7 @@ def _elastic(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, a
 
 def _strain_rate(radius: Scalar, velocity: Scalar) -> Scalar:
     """``|U|/R``, rounded off at small velocities: its time integral is the accumulated strain at the wall."""
-    return (sqrt(velocity * velocity + _SMOOTH * _SMOOTH) - _SMOOTH) / radius
+    return (sqrt(velocity * velocity + SMOOTH * SMOOTH) - SMOOTH) / radius
 
 
 def damaged(
@@ -82,13 +81,13 @@ def yielding(radius: Scalar, velocity: Scalar, rest_radius: Scalar, yield_stress
     strain = velocity / radius
     ratio = strain / _SLOWEST
     square = 1.0 + ratio * ratio
-    steep = _SLOWEST / _SMOOTH
+    steep = _SLOWEST / SMOOTH
     rounded = 1.0 + steep * steep * ratio * ratio
     root = sqrt(rounded)
     direction = steep * ratio / root
     extent = log(square) / 6.0
     scale = -2.0 * yield_stress
-    by_strain = direction * ratio / (3.0 * square * _SLOWEST) + extent / (_SMOOTH * rounded * root)
+    by_strain = direction * ratio / (3.0 * square * _SLOWEST) + extent / (SMOOTH * rounded * root)
     return scale * direction * extent, -scale * by_strain * strain * strain, scale * by_strain / radius
 
 

@@ -42,7 +42,7 @@ class Effect:
         gas_loss: ``gas_loss(radius, velocity, rest_radius, *parameters)``, the rate ``-n'/n`` at which gas is lost.
         vapour: ``vapour(compression, *parameters)``, the factor on the saturation pressure at the wall when the contents are
             compressed to ``P/P(0)``.
-        far_field: ``far_field(time, *parameters)``, a pressure afar over ``p_inf`` and its first two time derivatives.
+        far_field: ``far_field(time, *parameters)``, a far-field pressure over ``p_inf`` and its first two time derivatives.
 
     >>> from imr_torch.material import LIBRARY
     >>> effect = LIBRARY["stress_relaxation"]

@@ -52,7 +52,7 @@ def linear_elastic(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_lin:
 
 
 def _graded_rule(count: int) -> tuple[Tensor, Tensor]:
-    """Nodes and weights on [0, 1], Gauss-Legendre in ``u`` of ``1 - (1 - u)^2``: dense at 1, where exponentials live."""
+    """Nodes and weights on [0, 1], Gauss-Legendre in ``u`` of ``1 - (1 - u)^2``: dense at 1, where exponentials vary most."""
     nodes, weights = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(count))
     left = 0.5 * (1.0 - nodes)
     return 1.0 - left * left, weights * left

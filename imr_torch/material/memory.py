@@ -51,7 +51,7 @@ def _solid(
     """A solid whose whole stress relaxes to its elastic one: ``S' = (S_e - S)/De - 4 U/(Re De R) - f(l) U/R``.
 
     ``S_e`` is the elastic stress beside the dashpot's branch, ``slope`` its derivative in ``ln l``, ``f`` its stiffness against
-    fast strain, ``viscous`` is ``4/Re``. The state is ``S``; it starts relaxed, at ``S_e``, because a bubble lingers at its
+    fast strain, ``viscous`` is ``4/Re``. The state is ``S``; it starts relaxed, at ``S_e``, because a bubble is slow near its
     maximum.
     """
     on = time > 0.0

@@ -19,6 +19,9 @@ from torch import Tensor
 from imr_torch.elementary import Law, has_compiled_form
 from imr_torch.errors import InputDataError
 
+SMOOTH = 0.02
+"""Velocity, over ``U_c``, below which laws round off ``|U|`` and its sign."""
+
 
 @dataclass(frozen=True)
 class Stress:

@@ -14,6 +14,8 @@ from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.plausibility import check_experiment, check_maximum
 from imr_torch.observe.prepare import Prepared, prepare
 from imr_torch.observe.readers import READERS, Reader, register_reader
+from imr_torch.observe.roughness import noise_of_traces
+from imr_torch.observe.sets import load_set
 from imr_torch.observe.sidecar import state
 from imr_torch.observe.traces import Given, LeftOut, Override, RadiusTrace, TraceSet
 from imr_torch.observe.window import collapse_time
@@ -51,7 +53,9 @@ __all__ = [
     "fit_noise",
     "gel_medium",
     "load_collapse_times",
+    "load_set",
     "load_traces",
+    "noise_of_traces",
     "predict",
     "prepare",
     "register_reader",

@@ -25,7 +25,7 @@ from torch import Tensor
 from imr_torch.errors import InputDataError
 from imr_torch.observe.distortion import Distortion
 from imr_torch.observe.medium import Statement
-from imr_torch.observe.nuisance import Nuisance, displaced
+from imr_torch.observe.nuisance import SMALLEST, Nuisance, displaced
 from imr_torch.observe.sidecar import Sidecar
 from imr_torch.simulate import Simulator, check_designs
 from imr_torch.units import Surroundings
@@ -36,7 +36,6 @@ RESOLUTION_S = 20e-9
 _COLUMNS = ("experiment_id", "rmax_m", "stretch", "collapse_time_s")
 _ERRORS = {"collapse_time_sd_s": "collapse_time_sd_s", "rmax_sd_m": "max_radius_sd_m", "stretch_sd": "stretch_sd"}
 _FLOOR = Nuisance(max_radius=0.003, rest_radius=0.01)  # as of curves: pixel size and edge detection
-_SMALLEST = 0.1  # of a true Rmax, over the measured one
 _GRID = torch.cat(
     [torch.linspace(a, b, n + 1, dtype=torch.float64)[:-1] for a, b, n in ((0.0, 0.7, 40), (0.7, 1.3, 120), (1.3, 2.5, 60))]
 )  # output times over the measured collapse time, in which an interval with the minimum is found
@@ -253,7 +252,7 @@ def predict_collapse(
         errors = distortion.shifts_of(designs, simulator.conditions.surroundings.max_radius(designs[:, 0]))[0]
         shifts = errors if shifts is None else shifts + errors
     shifts = torch.zeros(*designs.shape[:-1], 3).to(designs) if shifts is None else shifts
-    lost = ~((1.0 + shifts[..., 0] >= _SMALLEST) & torch.isfinite(shifts).all(-1))
+    lost = ~((1.0 + shifts[..., 0] >= SMALLEST) & torch.isfinite(shifts).all(-1))
     shifts = torch.where(lost[..., None], 0.0, shifts)
     designs, scale = displaced(designs, times, shifts)[::2]
     rate = torch.ones_like(scale[..., 0])

@@ -338,7 +338,7 @@ def _rest(
         drift = 0.5 * abs(float(tail[: count // 2].mean() - tail[count // 2 :].mean()))
         return mean, math.hypot(scatter, drift), True, "settled tail"
     stated, stated_sd = trace.given.rest_radius_m, trace.given.rest_radius_sd_m or 0.0
-    if stated is not None and trace.given.rest_settled:  # measured after the record: better than a bubble that rings
+    if stated is not None and trace.given.rest_settled:  # measured after the record: better than a bubble that still oscillates
         return stated, max(stated_sd, MIN_STATED_SD * stated), True, "as given"
     if maxima:
         first, last, method = _last_cycles(time, minima, maxima)

@@ -15,7 +15,9 @@ from torch import Tensor
 from imr_torch.errors import InputDataError
 
 _CORRELATION_TIMES = (0.0, 0.02, 0.04, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6, 2.26, 3.2)
-_FEWEST = 10  # degrees of freedom from which on residuals determine the noise
+FEWEST_RESIDUALS = 10
+"""Degrees of freedom that residuals must have for the noise to be estimated from them."""
+
 _TIE = 1e-6  # nats; a law without slope and drift has the same likelihood at every floor
 _FLOORS = (1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 16.0, 25.0, 40.0, 60.0, 100.0)  # times the floor of the law, at its scale
 
@@ -150,7 +152,7 @@ def fit_noise(
     """
     frames = sum(r.numel() for r in residuals)
     free = frames - fitted
-    if free < _FEWEST:
+    if free < FEWEST_RESIDUALS:
         return noise
     best: tuple[float, Noise] | None = None
     for correlation_time in _CORRELATION_TIMES:

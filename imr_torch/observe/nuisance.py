@@ -15,7 +15,8 @@ from imr_torch.errors import InputDataError
 NUISANCES = ("max_radius", "time_zero", "rest_radius")
 """The nuisances of one experiment, in the order of tensors of them."""
 
-_SMALLEST = 0.1  # of a true Rmax, over the measured one
+SMALLEST = 0.1
+"""Smallest true Rmax that is simulated, over the measured one."""
 
 
 @dataclass(frozen=True)
@@ -88,4 +89,4 @@ def impossible(
     scale = 1.0 + shifts[..., 0]
     first = (times[..., 0] + shifts[..., 1]) / scale
     early = first < times[..., 0].clamp_max(earliest)
-    return ~((scale >= _SMALLEST) & ~early & torch.isfinite(shifts).all(-1))  # NaN is not possible either
+    return ~((scale >= SMALLEST) & ~early & torch.isfinite(shifts).all(-1))  # NaN is not possible either

@@ -1,8 +1,8 @@
 """Whether a curve can be one of an inertial bubble at all: most that cannot are in other units than was said.
 
 In units of Rmax and of ``Rmax sqrt(rho / p)`` all such curves are alike: an empty cavity in water collapses at t* = 0.915
-(Rayleigh, Phil. Mag. 34, 1917); stiff gels bring this down to some 0.4, viscous liquids up to some 1.3. What no bubble does is
-refused; what few do is said, since a diameter taken for a radius looks like a stiff gel.
+(Rayleigh, Phil. Mag. 34, 1917); stiff gels bring this down to some 0.4, viscous liquids up to some 1.3. Values that no bubble
+has are refused; unusual ones are reported, since a diameter taken for a radius looks like a stiff gel.
 """
 
 import math
@@ -28,7 +28,7 @@ class Range:
 
     Args:
         possible: smallest and largest value; others are refused.
-        usual: smallest and largest value; others are said.
+        usual: smallest and largest value; others are reported.
     """
 
     possible: tuple[float, float]

@@ -2,8 +2,9 @@
 
 Every control of a model's parameters is normal over shots: ``z_e ~ N(m, T)``, so a parameter with a log-normal prior is
 log-normal over shots. The centre ``m`` has the model's prior, each scatter an independent half-normal prior (Gelman, Bayesian
-Analysis 1, 2006), and what varies at all is asked by evidence, over all sets of parameters that may. Shots enter through the
-draws of their own posteriors (:class:`~imr_torch.population.ShotLikelihood`), so nothing is simulated here.
+Analysis 1, 2006), and whether a parameter varies at all is decided by evidence, over all sets of parameters that may vary.
+Shots enter through the draws of their own posteriors (:class:`~imr_torch.population.ShotLikelihood`), so nothing is simulated
+here.
 """
 
 import math

@@ -21,7 +21,8 @@ DECISIVE = math.log(10.0)
 """Log Bayes factor, nats, from which shots are said to differ, or to be of one gel: odds of 10 to 1."""
 
 _DECISIVE_ROUGHLY = 10.0  # nats; the same where draws are not reliable, as of one gel for shots that agree nowhere
-_SHOWN = 30.0  # nats; a larger log Bayes factor rests on the far tails of the shots' likelihoods
+LARGEST_SHOWN = 30.0
+"""Nats; a larger log Bayes factor rests on the far tails of the shots' likelihoods."""
 _TREND = 0.05  # p-value of a trend with the bubbles' size, all parameters together
 _ROUGH = 1.0  # nats of one shot's likelihood that its smooth form may miss at a draw
 
@@ -47,8 +48,8 @@ class BayesFactor:
     reliable: bool
 
     def __str__(self) -> str:
-        if abs(self.value) > _SHOWN:
-            return f"{'below -' if self.value < 0 else 'above '}{_SHOWN:.0f} nats"
+        if abs(self.value) > LARGEST_SHOWN:
+            return f"{'below -' if self.value < 0 else 'above '}{LARGEST_SHOWN:.0f} nats"
         return f"{self.value:.1f} +- {max(self.error, 0.05):.1f} nats" + ("" if self.reliable else " (draws not reliable)")
 
 

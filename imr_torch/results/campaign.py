@@ -8,10 +8,10 @@ import torch
 
 from imr_torch.campaign import Campaign, PopulationLearner, Proposal
 from imr_torch.characterization import LEVELS, intervals, predictive_band
+from imr_torch.files import drawn_numbers
 from imr_torch.material import Belief
 from imr_torch.plot import information_map
 
-_ROUND = 7  # digits of what is only drawn
 _REPEATS = 12  # curves of one experiment that are drawn
 _POINTS = 400  # of a predictive band
 
@@ -118,15 +118,10 @@ def _curves(campaign: Campaign) -> list[dict[str, Any]]:
                 "Rmax_m": size,
                 "time_scale_s": float(outer.time_scale(size)),
                 "t_star": experiment.times.tolist(),
-                "R_star": [_rounded(row) for row in experiment.radius[:_REPEATS]],
+                "R_star": [drawn_numbers(row) for row in experiment.radius[:_REPEATS]],
                 "repeats": experiment.repeats,
-                "band": {"model": best, "levels": LEVELS, "t_star": _rounded(drawn[e])}
-                | {name: _rounded(values[e]) for name, values in zip(("low", "median", "high"), band, strict=True)},
+                "band": {"model": best, "levels": LEVELS, "t_star": drawn_numbers(drawn[e])}
+                | {name: drawn_numbers(values[e]) for name, values in zip(("low", "median", "high"), band, strict=True)},
             }
         )
     return found
-
-
-def _rounded(values: Any) -> list[float | None]:
-    """Numbers for JSON, which has no NaN."""
-    return [round(x, _ROUND) if abs(x) < float("inf") else None for x in values.tolist()]

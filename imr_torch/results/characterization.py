@@ -8,10 +8,9 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.assimilate.dense import dense_curve
 from imr_torch.characterization import LEVELS, Characterization, predictive_band
+from imr_torch.files import drawn_numbers
 from imr_torch.observe import ExperimentBatch, TraceSet
 from imr_torch.simulate import Simulator
-
-_ROUND = 7  # digits of what is only drawn
 
 
 def characterization_document(
@@ -100,8 +99,8 @@ def _curves(result: Characterization, traces: TraceSet, simulator: Simulator, *,
                     "fitted": use.fitted,
                 },
                 "models": {fit.model: _model(fit, batch, e, drawn[fit.model]) for fit in fits},
-                "band": {"model": best, "levels": LEVELS, "t_star": _numbers(drawn[best][0][e])}
-                | {name: _numbers(values[e]) for name, values in zip(("low", "median", "high"), band, strict=True)},
+                "band": {"model": best, "levels": LEVELS, "t_star": drawn_numbers(drawn[best][0][e])}
+                | {name: drawn_numbers(values[e]) for name, values in zip(("low", "median", "high"), band, strict=True)},
             }
         )
     return curves
@@ -113,13 +112,8 @@ def _model(fit: ModelFit, batch: ExperimentBatch, e: int, drawn: tuple[Tensor, T
     residual = (batch.mean - fit.prediction)[e][seen]
     noise = (batch.sd(fit.prediction) / batch.counts.sqrt())[e][seen]
     return {
-        "t_star": _numbers(drawn[0][e]),
-        "R_star": _numbers(drawn[1][e]),
-        "residual": _numbers(residual),
-        "residual_over_sd": _numbers(residual / noise),
+        "t_star": drawn_numbers(drawn[0][e]),
+        "R_star": drawn_numbers(drawn[1][e]),
+        "residual": drawn_numbers(residual),
+        "residual_over_sd": drawn_numbers(residual / noise),
     }
-
-
-def _numbers(values: Tensor) -> list[float | None]:
-    """Numbers for JSON, which has no NaN."""
-    return [round(x, _ROUND) if x == x and abs(x) < float("inf") else None for x in values.tolist()]

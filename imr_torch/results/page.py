@@ -223,7 +223,8 @@ def _certificates(document: Mapping[str, Any]) -> tuple[str, ...]:
         found = entry["certificate"]
         word = "converged" if found["converged"] else "NOT CONVERGED"
         alone = found["agreement"] >= _ALONE
-        agree = "one start alone ended well" if alone else f"starts agree within {found['agreement']:.2g} nats"
+        of = found.get("compared", "starts")
+        agree = f"one of the {of} alone ended well" if alone else f"{of} agree within {found['agreement']:.2g} nats"
         lines.append(
             f"{material(key).title}: {word} (gradient {found['gradient']:.1e} sd, {agree}, {found['iterations']} iterations). "
             f"{entry['draws']}"

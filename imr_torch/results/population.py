@@ -11,10 +11,10 @@ from imr_torch.html import Table
 from imr_torch.labels import plain, symbol, with_unit
 from imr_torch.material import PARAMETERS
 from imr_torch.plot import DATA, MODEL, PALE
+from imr_torch.population.result import LARGEST_SHOWN
 from imr_torch.results.named import NamedFigure
 
 _WIDE = 5.0  # ratio of the ends of an axis from which on it is logarithmic
-_SHOWN = 30.0  # nats
 _ROWS = 40  # shots with a label
 
 
@@ -116,6 +116,6 @@ def population_block(found: Mapping[str, Any]) -> tuple[str | Table, ...]:
 
 def _nats(found: Mapping[str, Any]) -> str:
     """A log Bayes factor as text."""
-    if abs(found["value"]) > _SHOWN:
-        return f"{'below -' if found['value'] < 0 else 'above '}{_SHOWN:.0f} nats"
+    if abs(found["value"]) > LARGEST_SHOWN:
+        return f"{'below -' if found['value'] < 0 else 'above '}{LARGEST_SHOWN:.0f} nats"
     return f"{found['value']:.1f} +- {max(found['error'], 0.05):.1f} nats" + ("" if found["reliable"] else " (not reliable)")

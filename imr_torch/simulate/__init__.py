@@ -2,7 +2,7 @@
 
 import importlib
 
-from imr_torch.simulate.coarser import coarser
+from imr_torch.simulate.coarser import coarser, fewer_steps
 from imr_torch.simulate.conditions import (
     PRESETS,
     STEPPINGS,
@@ -82,6 +82,7 @@ __all__ = [
     "check_times",
     "coarser",
     "described",
+    "fewer_steps",
     "preset",
     "process_pool",
     "sensitivities",

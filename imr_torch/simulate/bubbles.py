@@ -99,7 +99,7 @@ class Setting(NamedTuple):
         rest_radius: ``R_inf*`` of the design.
         tension: ``1/We`` as it acts on the wall.
         slowness: ``1/c``.
-        far: pressure afar.
+        far: far-field pressure.
         image: strength of a mirror bubble.
         velocity: of the wall at time zero.
         saturation: vapour pressure at the far temperature.
@@ -109,7 +109,7 @@ class Setting(NamedTuple):
         gas: amount of gas at time zero over that which rests at ``rest_radius``.
         warmth: mean temperature of the contents at time zero, less 1.
         pace: ``U_c`` of the medium over that of the surroundings, ``sqrt(rho_0/rho)``.
-        ambient: pressure afar at which the contents were at rest.
+        ambient: far-field pressure at which the contents were at rest.
         resting: ``1/We`` at which they were.
         temperature: of the medium, K.
     """
@@ -167,7 +167,7 @@ class Numbers(NamedTuple):
         rest_radius: ``R_inf*``.
         tension: ``1/We``.
         slowness: ``1/c``.
-        far: pressure afar.
+        far: far-field pressure.
         image: strength of a mirror bubble.
         velocity: of the wall at time zero.
         seconds: ``Rmax/U_c``, s.
@@ -320,8 +320,8 @@ class Bubbles:
     def take(self, members: Int[Tensor, "kept"]) -> "Bubbles":
         """The sub-batch of the members with these indices.
 
-        Terms that none of them has are left out, or a few slow members would pay for everybody's. What has rows of the
-        state stays: memory, and gas that is lost.
+        Terms that act in none of them are left out, which saves their cost. What has rows of the state stays: memory, and
+        gas that is lost.
         """
         parameters = self.parameters[:, members]
         acting = PARAMETERS.acting(parameters)
@@ -363,5 +363,5 @@ class Bubbles:
 
     @cached_property
     def driven(self) -> bool:
-        """Whether the pressure afar changes for any member."""
+        """Whether the far-field pressure changes for any member."""
         return self.conditions.driving is not None or bool(self.acting("far_field"))

@@ -175,7 +175,7 @@ class Conditions:
         mixture: the bubble's contents as the transport simulator takes them.
         medium: the gel as a conductor of heat (transport simulator).
         motion: the radial equation; see ``RADIAL_EQUATIONS``.
-        driving: pressure afar on top of ``p_inf``; None for none.
+        driving: far-field pressure on top of ``p_inf``; None for none.
         initial_velocity: of the wall at time zero, m/s; 0 at the maximum radius.
         stress_acceleration: whether the part of ``dS/dt`` that is proportional to ``dU/dt`` acts in the radial equation.
             The published code leaves it out; for parity with it only.

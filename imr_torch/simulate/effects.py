@@ -19,11 +19,10 @@ from imr_torch.material import (
     register_effect,
     register_term,
 )
+from imr_torch.material.stress import SMOOTH
 
 if TYPE_CHECKING:
     from imr_torch.simulate.bubbles import Setting
-
-_SMOOTH = 0.02  # velocity below which |U| is rounded off
 
 
 def _parameter(name: str, meaning: str, lower: float, upper: float) -> Parameter:
@@ -97,7 +96,7 @@ def gas_loss(radius: Scalar, velocity: Scalar, rest_radius: Scalar, share: Scala
     """Gas is lost while ``R < R_inf``: ``-n'/n = eta |U|/R (1 - R/R_inf)^2``."""
     depth = 1.0 - radius / rest_radius
     depth = where(real(depth) > 0.0, depth, 0.0)
-    speed = sqrt(velocity * velocity + _SMOOTH * _SMOOTH) - _SMOOTH
+    speed = sqrt(velocity * velocity + SMOOTH * SMOOTH) - SMOOTH
     return share * speed / radius * depth * depth
 
 
@@ -149,18 +148,18 @@ register_effect(
     )
 )
 
-FAR_FIELD_PRESSURE = _parameter("far_field_pressure", "pressure afar beyond p_inf, over p_inf", -0.5, 0.5)
+FAR_FIELD_PRESSURE = _parameter("far_field_pressure", "far-field pressure beyond p_inf, over p_inf", -0.5, 0.5)
 
 
 def far_field_pressure(setting: "Setting", excess: Scalar) -> "Setting":
-    """Pressure afar is not ``p_inf``."""
+    """Far-field pressure is not ``p_inf``."""
     return setting._replace(far=setting.far + excess)
 
 
 register_effect(
     Effect(
         "far_field_pressure",
-        "pressure afar is not p_inf",
+        "far-field pressure is not p_inf",
         "liquid",
         {"far_field_pressure": TruncatedNormal(0.0, 0.015)},
         setting=far_field_pressure,
@@ -196,7 +195,7 @@ def shape_modes(radius: Scalar, velocity: Scalar, rest_radius: Scalar, energy_lo
     total = radius * radius + rest_radius * rest_radius
     share = energy_loss * rest_radius * rest_radius / total
     square = velocity * velocity
-    speed = sqrt(square + _SMOOTH * _SMOOTH)
+    speed = sqrt(square + SMOOTH * SMOOTH)
     value = -share * velocity * speed
     return value, -2.0 * value * radius * velocity / total, -share * (square / speed + speed)
 

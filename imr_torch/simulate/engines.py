@@ -2,7 +2,7 @@
 
 ``"compiled"``, the default, integrates one bubble after the other in machine code (:mod:`imr_torch.simulate.compiled`), on
 several processor threads. ``"torchdiffeq"`` integrates whole batches of tensors: on a GPU, with gradients by autograd, and with
-laws that have no compiled form. Where the compiled engine cannot serve, the tensor engine takes over by itself, says so once,
+laws that have no compiled form. Where the compiled engine cannot serve, the tensor engine takes over by itself, warns once,
 and gives the same answer.
 """
 

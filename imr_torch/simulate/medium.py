@@ -1,4 +1,4 @@
-"""A medium that is not the one of the surroundings: density, sound speed, surface tension, pressure afar, temperature.
+"""A medium that is not the one of the surroundings: density, sound speed, surface tension, far-field pressure, temperature.
 
 Each bubble of a batch may be in a medium of its own: parameters give the logarithm of its density (and so on) over that of
 :class:`imr_torch.units.Surroundings`. Lengths, times and pressures stay those of the surroundings, by which the data were made
@@ -39,7 +39,7 @@ def _log_factor(name: str, meaning: str, bound: float) -> Parameter:
 
 DENSITY = _log_factor("density", "density", 2.0)
 TENSION = _log_factor("medium_tension", "surface tension", 3.0)
-PRESSURE = _log_factor("medium_pressure", "pressure afar", 2.0)
+PRESSURE = _log_factor("medium_pressure", "far-field pressure", 2.0)
 TEMPERATURE = _log_factor("medium_temperature", "temperature in K", 0.2)
 
 
@@ -55,13 +55,13 @@ def tension(setting: "Setting", factor: Float[Tensor, "members"]) -> "Setting":
 
 
 def pressure(setting: "Setting", factor: Float[Tensor, "members"]) -> "Setting":
-    """Pressure afar, during the collapse and at rest."""
+    """Far-field pressure, during the collapse and at rest."""
     scale = torch.exp(factor)
     return setting._replace(far=setting.far + (scale - 1.0), ambient=setting.ambient * scale)
 
 
 def temperature(setting: "Setting", factor: Float[Tensor, "members"]) -> "Setting":
-    """Temperature afar: vapour pressure, conduction of heat and viscous heating."""
+    """Far-field temperature: vapour pressure, conduction of heat and viscous heating."""
     warm = setting.temperature * torch.exp(factor)
     more = torch.exp(_EVAPORATION / setting.temperature - _EVAPORATION / warm)
     return setting._replace(temperature=warm, saturation=setting.saturation * more)

@@ -1,6 +1,6 @@
 """A simulator spread over workers: any ``concurrent.futures.Executor``, one thread a worker, lost workers retried.
 
-A batch is cut into chunks of a size that the number of workers has no say in, so results are the same bit for bit on any
+A batch is cut into chunks whose size does not depend on the number of workers, so results are the same bit for bit on any
 number of workers, whatever the order in which chunks return: that of the simulator called chunk by chunk. Pools of
 processes, of threads, of ``dask.distributed`` (``client.get_executor()``) and of ``mpi4py.futures`` all serve. Arguments
 and results travel as NumPy arrays; workers compute on the CPU.
@@ -29,12 +29,11 @@ from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, Inp
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.engines import on_one_thread
 from imr_torch.simulate.sensitivity import differentiable
-from imr_torch.simulate.simulator import Simulator, Solution, Status, in_transform, solve_batch, solve_bundles
+from imr_torch.simulate.simulator import NO_BLOCKS, Simulator, Solution, Status, in_transform, solve_batch, solve_bundles
 from imr_torch.types import Progress
 
 Arrays = tuple[np.ndarray, ...]
 
-_ALL = 1 << 40
 _GUARD = (
     "If the pool never worked: simulators must survive pickling, and a script that starts processes needs an "
     'if __name__ == "__main__".'
@@ -169,7 +168,7 @@ class ParallelSimulator:
         inputs = (parameters, designs, times)
         if in_transform(*inputs) or (torch.is_grad_enabled() and any(x.requires_grad for x in inputs)):
             return differentiable(self, parameters, designs, times)
-        return solve_batch(self._solve, _ALL, (parameters, designs, times))
+        return solve_batch(self._solve, NO_BLOCKS, (parameters, designs, times))
 
     def bundle(
         self,
@@ -178,7 +177,7 @@ class ParallelSimulator:
         times: Real[Tensor, "*#batch frames"],
     ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`. Raises as a call does."""
-        return solve_bundles(self._solve, _ALL, (parameters, designs, times))
+        return solve_bundles(self._solve, NO_BLOCKS, (parameters, designs, times))
 
     def close(self) -> None:
         """Shut down the pool that the function made, if any; a later call makes another."""
@@ -197,7 +196,7 @@ class ParallelSimulator:
         size = _even(len(parameters) // unit, max(1, self.chunk // unit)) * unit
         cuts = [tuple(x[i : i + size] for x in arrays) for i in range(0, len(parameters), size)]
         tasks = [_Task(self.simulator, cut, width, _here()) for cut in cuts]
-        results = _Errand(tasks, self._pool, self.retries, self.progress).run()
+        results = _Submission(tasks, self._pool, self.retries, self.progress).run()
         parts = [result or _lost(cut[2]) for result, cut in zip(results, cuts, strict=True)]
         fields = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
         return tuple(torch.from_numpy(column).to(parameters.device) for column in fields)
@@ -287,10 +286,10 @@ class _Pool:
             self._made = None
 
 
-class _Errand:
+class _Submission:
     """The tasks of one call, submitted to the pool and retried where they fail.
 
-    A broken pool does not say who broke it. All unfinished tasks are then tried together again; once that has failed as
+    A broken pool does not say which task broke it. All unfinished tasks are then tried together again; once that has failed as
     often as retries allow they go one at a time, so that a failure is known to be a task's own.
     """
 

@@ -22,7 +22,7 @@ from imr_torch.simulate.sensitivity import differentiable
 from imr_torch.simulate.simulator import Solution, Status, in_transform, solve_batch, solve_bundles
 from imr_torch.simulate.wall import Head, gas_loss, motion, vapour_factor
 
-_BLOCK = 32  # steps between two looks at who is done
+_BLOCK = 32  # steps between two checks of which members are done
 _BATCH = 2000  # members solved together: larger batches leave the processor's cache
 _RUNAWAY = 3.0
 

@@ -1,7 +1,7 @@
 """Radial equations: the acceleration of the bubble wall from the pressures on both sides of it.
 
-All four share one form. With ``s = 1/c``, ``M = s U``, the liquid's enthalpy ``h`` between the wall and afar and its specific
-volume ``w = dh/dp``,
+All four share one form. With ``s = 1/c``, ``M = s U``, the liquid's enthalpy ``h`` between the wall and the far field, and its
+specific volume ``w = dh/dp``,
 
 ``(1 - M) R U' + 3/2 (1 - M/3) U^2 = (1 + M) h + s R f dh/dt``.
 
@@ -92,7 +92,7 @@ def _enthalpy(pressure: Scalar, exponent: Scalar, stiffness: Scalar) -> Scalar:
 def _tait(
     pressure: Scalar, rate: Scalar, far: Scalar, far_rate: Scalar, exponent: Scalar, stiffness: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """``h`` between the wall and afar, the part of its rate without ``U'``, and ``w`` at the wall."""
+    """``h`` between the wall and the far field, the part of its rate without ``U'``, and ``w`` at the wall."""
     near, beyond = _volume(pressure, exponent, stiffness), _volume(far, exponent, stiffness)
     enthalpy = _enthalpy(pressure, exponent, stiffness) - _enthalpy(far, exponent, stiffness)
     return enthalpy, near * rate - beyond * far_rate, near

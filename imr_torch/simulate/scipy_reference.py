@@ -25,7 +25,7 @@ from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.polytropic import head_of, rate_of, start_of
 from imr_torch.simulate.rhs import Equations
-from imr_torch.simulate.simulator import Solution, Status, solve_batch
+from imr_torch.simulate.simulator import NO_BLOCKS, Solution, Status, solve_batch
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,6 @@ _WALL = 3  # row of tau_w in the state with transport
 _ITERATIONS = 50
 _INCREMENT = 1e-7  # for the slope of the wall's balance, whose error only slows Newton's method
 _SETTLED = 1e-13
-_ALL = 1 << 40
 
 
 class _System(Protocol):
@@ -109,7 +108,7 @@ class ScipySimulator:
             raise UnsupportedError("SciPy carries no gradients; detach the arguments, or use TransportSimulator.")
         if bool((times < 0.0).any()):
             raise InputDataError(f"times start at {float(times.min()):g}; SciPy integrates from t* = 0 on.")
-        return solve_batch(self._solve, _ALL, (parameters, designs, times))
+        return solve_batch(self._solve, NO_BLOCKS, (parameters, designs, times))
 
     def bundle(
         self,

@@ -18,6 +18,9 @@ from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
 from imr_torch.material import PARAMETERS, TERMS
 from imr_torch.simulate.conditions import Conditions
 
+NO_BLOCKS = 1 << 40
+"""Members in a block, for solvers that take a whole batch at once."""
+
 EARLIEST = -0.5
 """``t*`` before which there is no bubble: ``t* = 0`` is the maximum radius, and growth is not simulated."""
 
@@ -68,7 +71,7 @@ class Solution:
 
     Args:
         times: dimensionless (t U_c/Rmax).
-        radius: dimensionless (R/Rmax); NaN where the solve did not get.
+        radius: dimensionless (R/Rmax); NaN at times that the solve did not reach.
         velocity: wall velocity over ``U_c``.
         bubble_pressure: over ``p_inf``.
         status: :class:`Status` values.
@@ -326,7 +329,7 @@ def solve_batch(
 
 
 def _explain(status: Tensor, parameters: Tensor) -> Tensor:
-    """Failures that the gel is to blame for: where a term's energy has no lower bound, it may pull a collapse inwards."""
+    """Failures by the gel's parameters: where a term's energy has no lower bound, it may pull a collapse inwards."""
     theta = dict(zip(PARAMETERS.names, parameters.unbind(1), strict=True))
     failed = (status != Status.DONE) & (status != Status.LOST_WORKER)
     for term in TERMS:

@@ -26,8 +26,8 @@ from imr_torch.simulate.rhs import Equations
 from imr_torch.simulate.sensitivity import differentiable
 from imr_torch.simulate.simulator import Solution, Status, in_transform, solve_batch, solve_bundles
 
-_BATCH = 1000  # members integrated together: what leaves early makes no room for others
-_BLOCK = 32  # steps between two looks at who is done
+_BATCH = 1000  # members integrated together; those that are done early are not replaced
+_BLOCK = 32  # steps between two checks of which members are done
 _RUNNING = -1
 
 

@@ -1,8 +1,8 @@
 """The balance at the bubble wall: pressures of contents, surface, gel and far field put into a radial equation.
 
-``p_w = p_b - 1/(We R) + S`` in the liquid at the wall, ``p_far = 1 + p_ac`` afar (Estrada et al. 2018, eq. 4). Both simulators
-give ``p_b`` and its rate; everything else that acts on the wall is here, for tensors. The compiled engine puts the same laws
-together in :mod:`imr_torch.simulate.compiled`.
+``p_w = p_b - 1/(We R) + S`` in the liquid at the wall, ``p_far = 1 + p_ac`` in the far field (Estrada et al. 2018, eq. 4).
+Both simulators give ``p_b`` and its rate; everything else that acts on the wall is here, for tensors. The compiled engine puts
+the same laws together in :mod:`imr_torch.simulate.compiled`.
 """
 
 from dataclasses import dataclass
@@ -164,7 +164,7 @@ def vapour_factor(
 def far_field(
     bubbles: Bubbles, time: Inexact[Tensor, "*#members"]
 ) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"]]:
-    """Pressure afar and its first two time derivatives, dimensionless."""
+    """Far-field pressure and its first two time derivatives, dimensionless."""
     value = bubbles.numbers.far
     rate = bend = torch.zeros_like(value)
     driving = bubbles.conditions.driving

@@ -112,4 +112,5 @@ def test_that_a_search_from_an_earlier_fit_stays_there() -> None:
     first = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=0)
     again = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=1, near=first)
     torch.testing.assert_close(again.fits[0].mean, first.fits[0].mean, rtol=0.0, atol=1e-6)
+    assert "cycles agree within" in str(again.fits[0].certificate)
     assert PARAMETERS.names[0] == "G"

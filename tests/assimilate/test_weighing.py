@@ -41,7 +41,9 @@ def test_that_a_gaussian_posterior_is_trusted_in_one_round(simple: Assimilation)
     sds = torch.linalg.norm(before.posterior.chol, dim=1)
     moved = (after.posterior.mean - before.posterior.mean).abs() / sds
     assert float(moved.max()) < 0.03  # what chance leaves of a correction that is not needed; .06 by weighed draws alone
-    torch.testing.assert_close(torch.linalg.norm(after.posterior.chol, dim=1) / sds, torch.ones(2).double(), rtol=0.0, atol=0.03)
+    torch.testing.assert_close(
+        torch.linalg.norm(after.posterior.chol, dim=1) / sds, torch.ones(2).double(), rtol=0.0, atol=0.03
+    )
     assert simple.fits[0].sample is None
 
 

@@ -9,11 +9,11 @@ from imr_torch.campaign import (
     AllOf,
     AnyOf,
     Budget,
+    CampaignState,
     Designs,
     GainBelow,
     ModelProbability,
     RelativeSd,
-    Standing,
     stopping_rule,
 )
 from imr_torch.errors import InputDataError
@@ -23,7 +23,7 @@ from imr_torch.observe import Experiment
 TIMES = torch.linspace(0.0, 1.0, 4, dtype=torch.float64)
 
 
-def standing(*, sd: float = 0.02, probability: float = 0.95, repeats: tuple[int, ...] = (10, 20), gain=None) -> Standing:
+def standing(*, sd: float = 0.02, probability: float = 0.95, repeats: tuple[int, ...] = (10, 20), gain=None) -> CampaignState:
     """G known within ``sd`` relative, mu within half of it, of a model of some probability; experiments of some repeats."""
     belief = Belief.prior(
         {
@@ -33,7 +33,7 @@ def standing(*, sd: float = 0.02, probability: float = 0.95, repeats: tuple[int,
         probabilities={"nhkv": probability, "newtonian": 1.0 - probability},
     )
     made = [Experiment(f"e{n}", (300.0, 0.2), TIMES, torch.ones(n, 4, dtype=torch.float64)) for n in repeats]
-    return Standing(belief, tuple(made), gain)
+    return CampaignState(belief, tuple(made), gain)
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def standing(*, sd: float = 0.02, probability: float = 0.95, repeats: tuple[int,
         (AllOf((Designs(2), RelativeSd(0.02))), standing(), standing(sd=0.01), "2 designs were shot and every parameter"),
         (AllOf((Designs(3), RelativeSd(0.02))), standing(sd=0.01), standing(sd=0.01, repeats=(1, 1, 1)), "3 designs"),
     ],
-    ids=lambda x: type(x).__name__ if not isinstance(x, str | Standing) else "",
+    ids=lambda x: type(x).__name__ if not isinstance(x, str | CampaignState) else "",
 )
 def test_a_rule_speaks_on_one_side_of_its_threshold(rule, going, over, reason):
     assert rule.reason(going) is None
@@ -99,11 +99,11 @@ def test_all_of_nothing_is_refused():
 
 def test_that_a_forgotten_experiment_is_spent_and_is_no_datum():
     now = standing(repeats=(1, 1, 1))
-    one_lost = Standing(now.belief, now.experiments[:2], None, now.experiments[2:])
+    one_lost = CampaignState(now.belief, now.experiments[:2], None, now.experiments[2:])
     assert Budget(3.5).reason(one_lost) == "3 of the budget of 3.5 are spent, 1 of these on experiments that were forgotten"
     assert Budget(4.0).reason(one_lost) is None
     assert Designs(3).reason(one_lost) is None
     assert Designs(2).reason(one_lost) == "2 designs were shot, besides 1 that were forgotten"
-    all_lost = Standing(now.belief, (), None, now.experiments)
+    all_lost = CampaignState(now.belief, (), None, now.experiments)
     assert Budget(3.5).reason(all_lost) is not None
     assert Designs(1).reason(all_lost) is None

@@ -6,10 +6,9 @@ import pytest
 
 from imr_torch.assimilate import SearchOptions
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
-from imr_torch.gap.diagnose import impatient
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.material import LIBRARY
-from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator
+from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator, fewer_steps
 from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 
 
@@ -47,11 +46,11 @@ def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_m
 
 
 def test_that_few_steps_of_polytropic_bubbles_are_taken_by_workers_too() -> None:
-    plain = impatient(PolytropicSimulator())
+    plain = fewer_steps(PolytropicSimulator())
     assert plain.stepping.max_steps < PolytropicSimulator().stepping.max_steps
     with ThreadPoolExecutor(1) as pool:
         spread = ParallelSimulator(PolytropicSimulator(), pool)
-        assert impatient(spread).simulator == plain
+        assert fewer_steps(spread).simulator == plain
         assert spread.simulator == PolytropicSimulator()
     full = TransportSimulator()
-    assert impatient(full) is full
+    assert fewer_steps(full) is full

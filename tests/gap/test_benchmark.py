@@ -36,9 +36,9 @@ from imr_torch.errors import InputDataError
 from imr_torch.gap import LIBRARY
 from imr_torch.gap.hypotheses import fit_null
 from imr_torch.gap.linear import linearise
-from imr_torch.gap.sets import NUISANCE
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import ExperimentBatch, predict
+from imr_torch.observe.sets import NUISANCE
 from imr_torch.random import generator
 
 SMALL = ("wall", "rinf_bias")

@@ -43,3 +43,15 @@ def test_that_what_coarse_bubbles_leave_behind_has_the_cost_of_the_simulator_and
     behind = fit_hypotheses(EFFECTS, fit(batch), batch, FULL, seed=0, options=options)["surface_tension"]
     assert not behind.certificate.converged
     assert abs(behind.cost + float(Posterior(behind.prior, batch, FULL).log_joint(behind.point))) < 1e-6
+
+
+def test_that_effects_far_behind_a_fit_that_is_known_are_given_up() -> None:
+    """One iteration of one start each says that none can come near; all keep their costs, and none a certificate."""
+    batch = _leaking()
+    null = fit(batch)
+    options = SearchOptions(starts=2, drop_behind=6.0, rival=null.cost - 1e5, basin_rounds=0, polish=False)
+    lines: list[str] = []
+    found = fit_hypotheses(EFFECTS, null, batch, FULL, seed=0, options=options, progress=lines.append)
+    assert len(lines) == 1
+    assert len(found) == 2
+    assert not any(own.certificate.converged for own in found.values())

@@ -8,10 +8,10 @@ import torch
 from imr_torch.errors import InputDataError
 from imr_torch.gap import LIBRARY, library
 from imr_torch.gap.adequacy import adequacy_test
-from imr_torch.gap.noise import LEAST, LEAST_CONSTANT, noise_of_traces
 from imr_torch.gap.score import LEVEL
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
+from imr_torch.observe.roughness import LEAST, LEAST_CONSTANT, noise_of_traces
 from imr_torch.random import generator
 from tests.gap.synthetic import DESIGNS, GEL, SIMULATOR, fit
 
@@ -89,7 +89,7 @@ def test_that_a_handful_of_frames_is_not_taken_for_quiet_and_a_gap_is_seen_all_t
     assert noise_of_traces(quiet).scale == 1.0
     assert p_value(quiet) > LEVEL
     assert p_value(short(6, wall=0.4)) < LEVEL
-    monkeypatch.setattr("imr_torch.gap.noise.FEW", 0)
+    monkeypatch.setattr("imr_torch.observe.roughness.FEW", 0)
     assert p_value(quiet) < 1e-3
 
 

@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 import textwrap
 import time
 import warnings
@@ -36,6 +34,7 @@ from imr_torch.simulate import (
     TransportSimulator,
     engines,
 )
+from tests.processes import Processes
 from tests.simulate.bubble import gel, gel_of, grid, tensor
 
 SAME = 1e-9  # in R*, where both take the same steps; rounding grows at each collapse
@@ -264,34 +263,29 @@ ONE_BUBBLE = """
 """
 
 
-def in_a_process(cache: Path, script: str = ONE_BUBBLE) -> tuple[str, str]:
-    """Standard output and error of a script whose compiled code is kept in a folder."""
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(script)],
-        env=os.environ | {"IMR_TORCH_CACHE": str(cache)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+def in_a_process(processes: Processes, cache: Path) -> tuple[str, str]:
+    """Standard output and error of one bubble whose compiled code is kept in a folder."""
+    done = processes.run(textwrap.dedent(ONE_BUBBLE), env={"IMR_TORCH_CACHE": str(cache)})
+    assert done.returncode == 0, done.stderr
     return done.stdout, done.stderr
 
 
-def test_that_code_is_compiled_once_said_so_and_made_anew_where_it_was_damaged(tmp_path: Path) -> None:
-    first, said = in_a_process(tmp_path)
+def test_that_code_is_compiled_once_said_so_and_made_anew_where_it_was_damaged(tmp_path: Path, processes: Processes) -> None:
+    first, said = in_a_process(processes, tmp_path)
     assert "compiling solve_polytropic" in said
     assert "compiled solve_polytropic in" in said
-    second, nothing = in_a_process(tmp_path)
+    second, nothing = in_a_process(processes, tmp_path)
     assert second == first
     assert "compil" not in nothing
     for path in tmp_path.rglob("*.nb?"):  # as a full disk would leave it
         path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    third, _ = in_a_process(tmp_path)
+    third, _ = in_a_process(processes, tmp_path)
     assert third == first
 
 
-def test_that_a_folder_that_cannot_be_written_is_no_obstacle(tmp_path: Path) -> None:
+def test_that_a_folder_that_cannot_be_written_is_no_obstacle(tmp_path: Path, processes: Processes) -> None:
     (tmp_path / "file").write_text("")
-    first, said = in_a_process(tmp_path / "file" / "cache")
+    first, said = in_a_process(processes, tmp_path / "file" / "cache")
     assert "cannot be written, so compiled code is not kept; set IMR_TORCH_CACHE" in said
     assert 0.0 < float(first) < 1.0
 

@@ -2,8 +2,6 @@
 
 import os
 import re
-import subprocess
-import sys
 import time
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
@@ -31,6 +29,7 @@ from imr_torch.simulate import (
     process_pool,
     sensitivities,
 )
+from tests.processes import Processes
 from tests.workers import CURSED, Backwards, Faulty, Lethal, Threads, closed_form
 
 COARSE = TransportSimulator(accuracy=Accuracy(1e-2, Resolution(6, 6)))
@@ -302,15 +301,14 @@ def test_a_process_pool_has_fresh_processes(pool):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills a process by its number")
-def test_that_workers_end_with_a_process_that_is_killed():
+def test_that_workers_end_with_a_process_that_is_killed(processes: Processes) -> None:
     script = (
         "import os, signal\n"
         "from imr_torch.simulate import process_pool\n"
         "print(process_pool(1).submit(os.getpid).result(), flush=True)\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, env=environment, timeout=120)
+    done = processes.run(script, timeout=120)
     worker = int(done.stdout)
     for _ in range(200):
         if not alive(worker):

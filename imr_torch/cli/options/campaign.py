@@ -83,8 +83,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="RULE",
         help="end early: sd=.01 (every parameter), probability=.99 (of a model), cause=.9 (with "
         "--goal cause, its default), gain=.5 (nats), designs=5, "
-        "budget=TOTAL:PER_DESIGN:PER_CURVE (what was forgotten is spent, and no datum); with commas all together, given again "
-        "any of them",
+        "budget=TOTAL:PER_DESIGN:PER_CURVE (forgotten experiments cost, and are no data); rules with commas must all hold, "
+        "of several options any one",
     )
     parser.add_argument(
         "--method",

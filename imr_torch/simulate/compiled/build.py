@@ -32,7 +32,7 @@ from imr_torch.files import write_atomically
 from imr_torch.material import PARAMETERS, Effect, StressTerm
 from imr_torch.simulate import contents
 from imr_torch.simulate.bubbles import Constants, Numbers
-from imr_torch.simulate.compiled import laws, polytropic, transport
+from imr_torch.simulate.compiled import laws, polytropic, transport, vectors
 
 _FIELDS = tuple(
     dict.fromkeys(
@@ -290,7 +290,8 @@ def _hash(registry: Registry) -> str:
     digest = hashlib.sha256()
     for version in (sys.version, numba.__version__, llvmlite.__version__, np.__version__):
         digest.update(version.encode())
-    digest.update(Path(elementary.__file__).read_bytes())  # how functions are compiled
+    for file in (elementary.__file__, vectors.__file__):  # how functions are compiled
+        digest.update(Path(file).read_bytes())
     for function in (transport.solve_block, polytropic.solve_block, *registry.laws()):
         for part in elementary.code_of(function):
             digest.update(part)

@@ -22,6 +22,7 @@ from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
 from imr_torch.simulate.compiled import polytropic, step
 from imr_torch.simulate.compiled.build import Registry, announced, engine, switches
+from imr_torch.simulate.compiled.vectors import as_rows
 from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.driving import DRIVING_LAWS, LawDriving
 from imr_torch.simulate.engines import cores
@@ -220,18 +221,19 @@ def _space(resolution: Resolution) -> tuple[np.ndarray, ...]:
     """Grids as :class:`imr_torch.simulate.compiled.step.Space` has them; read only."""
     inside, outside = resolution.grids()
 
-    def columns(*rows: Tensor) -> np.ndarray:
-        return torch.cat(rows).T.contiguous().numpy()
+    def operators(grid: Any) -> np.ndarray:
+        parts = (grid.first[1:], grid.laplacian, grid.first[:1])
+        return as_rows(np.concatenate([as_rows(part.T.numpy()) for part in parts], 1))
 
     y = outside.nodes
     return (
-        columns(inside.first, inside.laplacian),
-        columns(outside.first, outside.laplacian),
-        columns(inside.first[1:, 1:]),
-        columns(inside.laplacian[:, 1:]),
-        inside.first[1:, 1:].contiguous().numpy(),
-        columns(outside.first[1:, 1:]),
-        columns(outside.laplacian[:, 1:]),
+        operators(inside),
+        operators(outside),
+        as_rows(inside.first[1:, 1:].T.numpy()),
+        as_rows(inside.laplacian[:, 1:].T.numpy()),
+        as_rows(inside.first[1:, 1:].numpy()),
+        as_rows(outside.first[1:, 1:].T.numpy()),
+        as_rows(outside.laplacian[:, 1:].T.numpy()),
         inside.nodes.contiguous().numpy(),
         (y**-2 - y).numpy(),
         (y**-6).numpy(),

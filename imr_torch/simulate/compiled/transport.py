@@ -19,7 +19,7 @@ from imr_torch.simulate.compiled.output import (
     fill,
     fill_pressure,
 )
-from imr_torch.simulate.compiled.step import GAMMA, HEAD, ORDER, STAGES, Space, Work, factorise, linearise, step
+from imr_torch.simulate.compiled.step import GAMMA, HEAD, ORDER, STAGES, Space, Work, factorise, linearise, parts_of, step
 from imr_torch.simulate.compiled.wall import member_of, setup_of
 from imr_torch.simulate.contents import wall_of, warm_profile
 from imr_torch.simulate.controller import GROW, HEAT_WEIGHT, PATIENCE, REST, RUNAWAY, SAFETY, SHRINK, UNDERFLOW
@@ -31,7 +31,7 @@ _RUNAWAY, _UNDERFLOW = int(Status.RUNAWAY), int(Status.STEP_UNDERFLOW)
 
 def scaled_error(before, after, error, space, tolerance):
     """As :meth:`imr_torch.simulate.controller.Controller.error`, of one bubble."""
-    n, m = len(space.y), len(space.shear)
+    n, m, (vapours, gels, memory) = len(space.y), len(space.shear), parts_of(space)
     radius = after[0]
     if not radius > 0.0:
         return np.inf
@@ -40,8 +40,9 @@ def scaled_error(before, after, error, space, tolerance):
     for i in range(HEAD, HEAD + n):
         hottest = max(hottest, max(abs(before[i]), abs(after[i])))
         heat += error[i] * error[i]
-        vapour += error[n + i] * error[n + i]
-    for i in range(HEAD + 2 * n, HEAD + 2 * n + m):
+    for i in range(vapours, vapours + n):
+        vapour += error[i] * error[i]
+    for i in range(gels, gels + m):
         gel += error[i] * error[i]
     total = (error[0] / radius) ** 4
     total += (error[1] / (abs(after[1]) + 0.1 * np.sqrt(pressure))) ** 4
@@ -49,20 +50,20 @@ def scaled_error(before, after, error, space, tolerance):
     total += (HEAT_WEIGHT * np.sqrt(heat / n) / (0.1 + hottest)) ** 4
     total += np.sqrt(vapour / n) ** 4
     total += (HEAT_WEIGHT * np.sqrt(gel / m) / (0.01 + abs(after[3]))) ** 4
-    for i in range(HEAD + 2 * n + m, len(after)):
+    for i in range(memory, len(after)):
         total += (error[i] / (abs(after[i]) + 0.1 * pressure)) ** 4
     return np.sqrt(np.sqrt(total)) / tolerance
 
 
 def start(space, member, setup, state):
     """The state at time zero: the wall at the far temperature, vapour in equilibrium with it."""
-    b, n, m = member.b, len(space.y), len(space.shear)
+    b, n, (vapours, _, memory) = member.b, len(space.y), parts_of(space)
     state[:] = 0.0
     state[0], state[1], state[2] = 1.0, b.velocity, np.log(b.start)
     for i in range(n):
         state[HEAD + i] = warm_profile(space.y[i], b.warmth, setup.c)
-    state[HEAD + n : HEAD + 2 * n] = wall_of(b.start, 1.0, 1.0, 0.0, b, setup.c).vapour
-    laws.start(b.rest_radius, member.terms, member.theta, state[HEAD + 2 * n + m :])
+    state[vapours : vapours + n] = wall_of(b.start, 1.0, 1.0, 0.0, b, setup.c).vapour
+    laws.start(b.rest_radius, member.terms, member.theta, state[memory:])
 
 
 def record(state, time, log_rate, nodes, begin, second, times, curves, work):

@@ -17,7 +17,8 @@ import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe import Experiment, Noise
+from imr_torch.observe.experiments import Experiment
+from imr_torch.observe.noise import Noise
 
 CORRELATION_TIME = 0.14
 """Shortest correlation time seen between repeats of public records, in t*."""
@@ -26,11 +27,13 @@ LEAST = 0.25
 LEAST_CONSTANT = 0.002
 """Smallest constant part, in R*: repeats differ by 1 to 10 times the published noise early, where this is what it is."""
 
+SD_OVER_MAD = 1.482602
+"""Standard deviation of a Gaussian over its median absolute deviation."""
+
 FEW = 40
 """Frames with neighbours on both sides, of all traces, below which two amounts read off them may be several times too small."""
 
 _REACH = 2  # neighbours on either side
-_CONSISTENT = 1.482602  # standard deviation over median absolute deviation of a Gaussian
 _GROUPS = 4  # of frames, by how much of their noise is of the published law; the two amounts must suit all
 _TRIED = 80  # values of each amount
 _MOST = 32.0  # times the least of each
@@ -51,7 +54,7 @@ def noise_of_traces(experiments: Sequence[Experiment], *, correlation_time: floa
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
-    >>> from imr_torch.gap import noise_of_traces
+    >>> from imr_torch.observe import noise_of_traces
     >>> from imr_torch.material import PARAMETERS
     >>> from imr_torch.observe import SimulatedLaboratory
     >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=1)
@@ -73,7 +76,7 @@ def noise_of_traces(experiments: Sequence[Experiment], *, correlation_time: floa
     for group in torch.argsort(law / constant).chunk(_GROUPS):
         for i, scale in enumerate(scales.tolist()):
             variance = scale**2 * law[group] + constants[:, None].square() * constant[group]
-            spread = _CONSISTENT * (rough[group].abs() / variance.sqrt()).median(-1).values
+            spread = SD_OVER_MAD * (rough[group].abs() / variance.sqrt()).median(-1).values
             misfit[i] += len(group) * spread.clamp_min(1e-9).log().square()
     misfit[constants < unit.floor * scales[:, None]] = torch.inf  # never less of it than in the published proportion
     row, column = divmod(int(misfit.argmin()), _TRIED)

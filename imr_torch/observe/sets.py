@@ -6,8 +6,10 @@ import numpy as np
 import torch
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe import Experiment, Nuisance, check_experiment
+from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.npz import read_arrays
+from imr_torch.observe.nuisance import Nuisance
+from imr_torch.observe.plausibility import check_experiment
 from imr_torch.units import Surroundings
 
 NUISANCE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
@@ -35,7 +37,7 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
     >>> import tempfile
     >>> from pathlib import Path
     >>> import numpy
-    >>> from imr_torch.gap import load_set
+    >>> from imr_torch.observe import load_set
     >>> times = numpy.linspace(0.0, 40e-6, 5)
     >>> arrays = {"time_s": times[None], "radius_m": numpy.full((1, 2, 5), 2e-4), "we": [180.9], "rinf_star": [0.2]}
     >>> with tempfile.TemporaryDirectory() as folder:

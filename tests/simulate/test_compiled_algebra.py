@@ -1,0 +1,31 @@
+"""The dense algebra of the compiled engine against NumPy."""
+
+import numpy as np
+import pytest
+
+from imr_torch.simulate.compiled import algebra, build, vectors
+
+
+def compiled(function):
+    return build._bound(function, None, {})
+
+
+@pytest.mark.parametrize("size", [1, 4, 5, 7, 16])
+def test_that_inverses_and_the_solutions_beside_them_are_those_of_numpy(size: int) -> None:
+    matrix = np.random.default_rng(size).normal(size=(size, size)) + 8.0 * np.eye(size)
+    right = np.random.default_rng(0).normal(size=(size, 2))
+    width = vectors.padded(size)
+    block = vectors.rows(size, width + 2)
+    block[:, :size], block[:, width : width + 2] = matrix, right
+    compiled(algebra.invert)(block, vectors.rows(width + 2))
+    assert np.allclose(block[:, :size], np.linalg.inv(matrix), rtol=0.0, atol=1e-14)
+    assert np.allclose(block[:, width : width + 2], np.linalg.solve(matrix, right), rtol=0.0, atol=1e-14)
+
+
+def test_that_products_are_those_of_numpy() -> None:
+    columns, vector, out = np.random.default_rng(0).normal(size=(5, 16)), np.arange(5.0), vectors.rows(16)
+    compiled(algebra.multiply)(columns, vector, out)
+    assert np.allclose(out, vector @ columns, rtol=0.0, atol=1e-14)
+    compiled(algebra.apply)(columns, 3.0, vector[1:], out)
+    assert np.allclose(out, 3.0 * columns[0] + vector[1:] @ columns[1:], rtol=0.0, atol=1e-14)
+    assert compiled(algebra.dot)(columns[0], columns[1]) == pytest.approx(columns[0] @ columns[1], rel=1e-14)
