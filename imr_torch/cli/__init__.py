@@ -73,7 +73,7 @@ def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
         _check_targets(args)
         with args.terminal, warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the certificate is printed with the result
-            warnings.filterwarnings("ignore", "A not p.d., added jitter", RuntimeWarning)  # of a surrogate that is only searched
+            warnings.filterwarnings("ignore", "A not p.d., added jitter", RuntimeWarning)  # of a search's surrogate
             _run(args)
         sys.stdout.flush()
     except ConvergenceError as error:
