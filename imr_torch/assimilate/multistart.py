@@ -70,7 +70,7 @@ def _dropped(searches: Searches, options: SearchOptions) -> Searches:
     """End chains whose cost stays more than ``drop_behind`` above the lowest of all models."""
     if options.drop_behind is None:
         return searches
-    limit = min(lowest_cost(searches), options.rival) + options.drop_behind
+    limit = min(lowest_cost(searches), options.known_cost) + options.drop_behind
     result = []
     for chains in searches:
         reached = chains.cost - PROMISED * chains.gradient.clamp_max(1e6).square()
@@ -97,7 +97,7 @@ def _restarted(searches: Sequence[Chains], number: int, options: SearchOptions, 
     fresh = apart[(chains.iterations[apart] == 0) & torch.isfinite(chains.cost[apart])]
     if len(rows) - len(apart) >= 2 and not (len(fresh) and several):
         return chains
-    behind = chains.lowest - min(lowest_cost(searches), options.rival)
+    behind = chains.lowest - min(lowest_cost(searches), options.known_cost)
     lags = _lags(behind, options, _RESERVE) and not (several and _promising(chains, searches))
     if len(fresh) and bool((chains.finished | (chains.gradient < NEAR)).all()) and not lags:
         return chains.put(fresh, finished=False)

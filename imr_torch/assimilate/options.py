@@ -20,7 +20,8 @@ class SearchOptions:
             all models by more than this, nats; never when not given. When given, only the best start of each model begins at
             first, and a second follows once that is near a minimum and not too far behind; of more than two, all follow even
             from farther behind.
-        rival: cost of a fit that is known already, nats; with ``drop_behind`` starts are compared with it too.
+        rival: cost of a fit that is known already, nats; with ``drop_behind`` starts are compared with it too. None when no fit
+            is known.
         basin_rounds: times that models may be restarted in a deeper basin of their nuisances
             (:mod:`imr_torch.assimilate.basins`); with 0 none is searched for, as where nuisances begin at a fit whose
             basins were compared.
@@ -40,7 +41,7 @@ class SearchOptions:
     gradient: float = 1e-3
     agreement: float = 0.1
     drop_behind: float | None = None
-    rival: float = math.inf
+    rival: float | None = None
     basin_rounds: int = 3
     mask_collapses: bool | None = None
     polish: bool = True
@@ -52,6 +53,11 @@ class SearchOptions:
             raise InputDataError(f"SearchOptions.basin_rounds is {self.basin_rounds}; expected 0 or more.")
         if self.iterations < 1:
             raise InputDataError(f"SearchOptions.iterations is {self.iterations}; expected at least 1.")
+
+    @property
+    def known_cost(self) -> float:
+        """``rival``, and infinity (behind every fit) when it is not given; settings themselves must be finite in a journal."""
+        return math.inf if self.rival is None else self.rival
 
 
 @dataclass(frozen=True)
