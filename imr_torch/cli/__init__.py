@@ -73,7 +73,7 @@ def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
         _check_targets(args)
         with args.terminal, warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the certificate is printed with the result
-            warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)  # PyTorch 2.14; of a dependency
+            warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)  # of a dependency
             warnings.filterwarnings("ignore", "A not p.d., added jitter", RuntimeWarning)  # of a search's surrogate
             _run(args)
         sys.stdout.flush()
