@@ -1,7 +1,7 @@
 """Settings of the two fitting methods, checked when they are made; the type of the settings selects the method."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from imr_torch.errors import InputDataError
 
@@ -41,7 +41,7 @@ class SearchOptions:
     gradient: float = 1e-3
     agreement: float = 0.1
     drop_behind: float | None = None
-    rival: float | None = None
+    rival: float | None = field(default=None, compare=False)  # of one fit: no setting that campaigns write down
     basin_rounds: int = 3
     mask_collapses: bool | None = None
     polish: bool = True

@@ -47,9 +47,10 @@ class CampaignSettings:
 
 
 def _described(value: Any) -> Any:
-    """A dataclass and what it is made of as JSON-ready values."""
+    """A dataclass and what it is made of as JSON-ready values; fields that make no two of them differ are left out."""
     if is_dataclass(value):
-        return {"kind": type(value).__name__} | {f.name: _described(getattr(value, f.name)) for f in fields(value)}
+        own = {f.name: _described(getattr(value, f.name)) for f in fields(value) if f.compare}
+        return {"kind": type(value).__name__} | own
     if isinstance(value, tuple):
         return [_described(part) for part in value]
     return value.tolist() if isinstance(value, Tensor) else value

@@ -149,3 +149,11 @@ def test_noise_that_was_learnt_is_in_the_journal_and_is_what_the_next_design_exp
 def test_telling_nothing_is_refused(tmp_path):
     with pytest.raises(InputDataError, match="at least one experiment"):
         campaign(tmp_path / "none").tell()
+
+
+def test_that_the_cost_of_a_known_fit_is_no_setting() -> None:
+    """It is of one search: journals that know no such field go on."""
+    written = [CampaignSettings(learner=ExactLearner(options=SearchOptions(rival=cost))).to_dict() for cost in (None, 7.0)]
+    assert written[0] == written[1]
+    assert "scouts" in written[0]["learner"]["options"]
+    assert "rival" not in written[0]["learner"]["options"]
