@@ -4,11 +4,11 @@ Rows are padded with zeros to a multiple of eight: see :mod:`imr_torch.simulate.
 time, so that a row is loaded and stored a quarter as often.
 """
 
-from imr_torch.simulate.compiled.vectors import load, spread, store, total
+from imr_torch.simulate.compiled.vectors import STRIDE, load, spread, store, total
 
 
-def dot(one, other):
-    """Inner product of rows of which ``other`` may be longer."""
+def dot(one, other, space, spare):
+    """Inner product of rows of all fields, of which ``other`` may be longer."""
     partial = spread(0.0)
     for i in range(0, len(one), 8):
         partial = partial + load(one, i) * load(other, i)
@@ -17,7 +17,7 @@ def dot(one, other):
 
 def apply(columns, first, values, out):
     """``out[i] = sum_j columns[j, i] values[j]`` with ``first`` in front of the values."""
-    for i in range(0, columns.shape[1], 8):
+    for i in range(0, len(out), STRIDE):
         sums = spread(first) * load(columns[0], i)
         for j in range(1, len(columns)):
             sums = sums + spread(values[j - 1]) * load(columns[j], i)
@@ -26,7 +26,7 @@ def apply(columns, first, values, out):
 
 def multiply(columns, vector, out):
     """``out = matrix vector`` with a matrix by columns, which may have others beside them; ``out`` has its padded length."""
-    for i in range(0, len(out), 8):
+    for i in range(0, len(out), STRIDE):
         sums = spread(vector[0]) * load(columns[0], i)
         for j in range(1, len(columns)):
             sums = sums + spread(vector[j]) * load(columns[j], i)
@@ -62,7 +62,7 @@ def _take_pivots(a, k):
     three = (r[k], r[k + 1], s[k], s[k + 1])
     four = (r[k + 2], r[k + 3], s[k + 2], s[k + 3])
     one, two, three, four = _inverse_four(one, two, three, four)
-    for j in range(0, a.shape[1], 8):
+    for j in range(0, a.shape[1], STRIDE):
         x, y, z, t = load(p, j), load(q, j), load(r, j), load(s, j)
         store(p, j, spread(one[0]) * x + spread(one[1]) * y + (spread(two[0]) * z + spread(two[1]) * t))
         store(q, j, spread(one[2]) * x + spread(one[3]) * y + (spread(two[2]) * z + spread(two[3]) * t))
@@ -82,7 +82,7 @@ def _take_from(a, k, keep):
             continue
         row = a[i]
         one, two, three, four = spread(row[k]), spread(row[k + 1]), spread(row[k + 2]), spread(row[k + 3])
-        for j in range(0, a.shape[1], 8):
+        for j in range(0, a.shape[1], STRIDE):
             change = (one * load(p, j) + two * load(q, j)) + (three * load(r, j) + four * load(s, j))
             store(row, j, load(row, j) * load(keep, j) - change)
 
@@ -90,13 +90,13 @@ def _take_from(a, k, keep):
 def _take_pivot(a, k):
     """One step of Gauss-Jordan."""
     pivots, scale = a[k], 1.0 / a[k, k]
-    for j in range(0, a.shape[1], 8):
+    for j in range(0, a.shape[1], STRIDE):
         store(pivots, j, spread(scale) * load(pivots, j))
     pivots[k] = scale
     for i in range(len(a)):
         if i != k:
             row, factor = a[i], a[i, k]
-            for j in range(0, a.shape[1], 8):
+            for j in range(0, a.shape[1], STRIDE):
                 store(row, j, load(row, j) - spread(factor) * load(pivots, j))
             row[k] = -factor * scale
 

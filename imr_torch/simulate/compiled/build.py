@@ -32,7 +32,8 @@ from imr_torch.files import write_atomically
 from imr_torch.material import PARAMETERS, Effect, StressTerm
 from imr_torch.simulate import contents
 from imr_torch.simulate.bubbles import Constants, Numbers
-from imr_torch.simulate.compiled import laws, polytropic, transport, vectors
+from imr_torch.simulate.compiled import algebra, lanes, laws, polytropic, step, transport, vectors, wall
+from imr_torch.simulate.compiled.lanes import STAND_INS, ForEight
 
 _FIELDS = tuple(
     dict.fromkeys(
@@ -41,6 +42,18 @@ _FIELDS = tuple(
         for name in kind._fields
     )
 )
+
+_INLINE: dict[Any, Any] = {
+    transport.solve_bundle: "source",
+    wall.motion_slopes: "never",
+    lanes.linearise_eight: "never",
+    lanes.factorise_eight: "never",
+    lanes.step_eight: "never",
+    ForEight(algebra.invert): "never",
+    ForEight(algebra.dot): "never",
+}
+"""How callers take in a function, where not as machine code: see :func:`imr_torch.elementary.kernel`."""
+_TWICE = (step.__name__, algebra.__name__)  # whose functions are compiled for one bubble and for eight
 
 
 @dataclass(frozen=True)
@@ -101,22 +114,31 @@ def engine(registry: Registry) -> types.ModuleType:
 def _bound(function: Any, module: types.ModuleType, bound: dict[Any, Any]) -> Any:
     """A function of the engine compiled with the laws of a module, and all that it calls."""
     if function not in bound:
+        own = function.function if isinstance(function, ForEight) else function
         scope = _scope(function, module, bound)
-        inline = "source" if function is transport.solve_bundle else "machine"
-        bound[function] = elementary.kernel(types.FunctionType(function.__code__, scope, function.__name__), inline=inline)
+        inline = _INLINE.get(function, "machine")
+        bound[function] = elementary.kernel(types.FunctionType(own.__code__, scope, own.__name__), inline=inline)
     return bound[function]
 
 
 def _scope(function: Any, module: types.ModuleType, bound: dict[Any, Any]) -> dict[str, Any]:
     """The globals of a function of the engine: laws of a module in place of their declarations, and all else compiled."""
     scope: dict[str, Any] = {"__builtins__": builtins, "__name__": __name__}
-    for name in elementary.names_in(function)[0]:
-        value = function.__globals__.get(name)
+    eightfold = isinstance(function, ForEight)
+    own = function.function if eightfold else function
+    for name in elementary.names_in(own)[0]:
+        value = own.__globals__.get(name)
+        if eightfold and name in STAND_INS:
+            value = STAND_INS[name]
+        elif eightfold and isinstance(value, types.FunctionType) and value.__module__ in _TWICE:
+            value = ForEight(value)
         if value is laws:
             value = module
+        elif isinstance(value, ForEight):
+            value = _bound(value, module, bound)
         elif isinstance(value, types.FunctionType):
-            own = value.__module__.startswith(laws.__name__.rpartition(".")[0])
-            value = _bound(value, module, bound) if own else elementary.compiled(value, _FIELDS)
+            engine = value.__module__.startswith(laws.__name__.rpartition(".")[0])
+            value = _bound(value, module, bound) if engine else elementary.compiled(value, _FIELDS)
         if value is not None:
             scope[name] = value
     return scope
@@ -290,7 +312,7 @@ def _hash(registry: Registry) -> str:
     digest = hashlib.sha256()
     for version in (sys.version, numba.__version__, llvmlite.__version__, np.__version__):
         digest.update(version.encode())
-    for file in (elementary.__file__, vectors.__file__):  # how functions are compiled
+    for file in (elementary.__file__, vectors.__file__, lanes.__file__):  # how functions are compiled
         digest.update(Path(file).read_bytes())
     for function in (transport.solve_block, polytropic.solve_block, *registry.laws()):
         for part in elementary.code_of(function):

@@ -49,3 +49,15 @@ def fill_pressure(before, after, begin, end, times, pressure):
     for j in range(begin, end):
         s = (times[j] - t0) / h
         pressure[j] = np.exp(p0 + s * q0 if s < 0.0 else p0 + s * (q0 + s * (bend + s * twist)))
+
+
+def record(node, nodes, begin, second, times, curves):
+    """Make a node the last of two, and fill the output up to it unless it is the first; returns the next time to be filled."""
+    before, after = nodes[0], nodes[1]
+    for i in range(len(node)):
+        before[i], after[i] = after[i], node[i]
+    if not second:
+        return begin
+    end = fill(before, after, begin, times, curves[0], curves[1])
+    fill_pressure(before, after, begin, end, times, curves[2])
+    return end

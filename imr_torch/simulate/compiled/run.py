@@ -20,7 +20,7 @@ from imr_torch.elementary import has_compiled_form
 from imr_torch.material import LIBRARY, TERMS, StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
-from imr_torch.simulate.compiled import polytropic, step
+from imr_torch.simulate.compiled import followers, polytropic, step
 from imr_torch.simulate.compiled.build import Registry, announced, engine, switches
 from imr_torch.simulate.compiled.vectors import as_rows
 from imr_torch.simulate.conditions import Conditions, Stepping
@@ -88,9 +88,13 @@ def solve_transport(
         limits: tolerance, steps at most, and length of the first step.
         threads: that share the bubbles; all cores if None.
     """
-    space = _space(resolution)
-    arrays = partial(step.work_for, len(space[-3]), len(space[-1]))
-    return _solve("solve_transport", bubbles, terms, times, width, (space, *limits), arrays, threads)
+    spaces = _space(resolution, as_rows), _space(resolution, np.ascontiguousarray)
+    sizes = len(spaces[0][-3]), len(spaces[0][-1])
+
+    def arrays(states: int, width: int) -> tuple[Any, ...]:
+        return step.work_for(*sizes, states, width), followers.arrays_for(*sizes, states, width)
+
+    return _solve("solve_transport", bubbles, terms, times, width, (spaces, *limits), arrays, threads)
 
 
 def solve_polytropic(
@@ -119,7 +123,7 @@ def _solve(
     times: Tensor,
     width: int,
     settings: tuple[Any, ...],
-    arrays: Callable[[int, int], tuple[np.ndarray, ...]],
+    arrays: Callable[[int, int], tuple[Any, ...]],
     threads: int | None,
 ) -> tuple[Tensor, ...]:
     """Integrate a batch, bundle after bundle.
@@ -188,7 +192,7 @@ def _share_out(
     entry: str,
     bundles: np.ndarray,
     arguments: tuple[Any, ...],
-    arrays: Callable[[], tuple[np.ndarray, ...]],
+    arrays: Callable[[], tuple[Any, ...]],
     threads: int,
 ) -> None:
     """Call an entry point for some bundles, in chunks, on some threads."""
@@ -217,8 +221,8 @@ if hasattr(os, "register_at_fork"):
 
 
 @functools.cache
-def _space(resolution: Resolution) -> tuple[np.ndarray, ...]:
-    """Grids as :class:`imr_torch.simulate.compiled.step.Space` has them; read only."""
+def _space(resolution: Resolution, as_rows: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Grids as :class:`imr_torch.simulate.compiled.step.Space` has them, each in rows; read only."""
     inside, outside = resolution.grids()
 
     def operators(grid: Any) -> np.ndarray:

@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from imr_torch.simulate.compiled import laws, vectors
 from imr_torch.simulate.compiled.algebra import apply, dot, invert, multiply
-from imr_torch.simulate.compiled.vectors import load, padded, rows, spread, store
+from imr_torch.simulate.compiled.vectors import STRIDE, lanes, load, padded, spread, store
 from imr_torch.simulate.compiled.wall import gas_loss, motion, motion_slopes, vapour_factor
 from imr_torch.simulate.contents import (
     Node,
@@ -27,7 +28,9 @@ from imr_torch.simulate.contents import (
     wall_balance,
     wall_balance_slopes,
     wall_of,
+    warm_profile,
 )
+from imr_torch.simulate.controller import REST
 from imr_torch.simulate.rosenbrock import RODAS4P
 
 HEAD = 8  # where the fields begin in a state: after R, U, ln P, tau_w and zeros
@@ -93,7 +96,7 @@ class Work(NamedTuple):
         inner: ``2 x (2n'+8)``: slopes and Laplacians of ``tau`` and ``C``, and slopes at the wall; ``outer`` likewise of
             ``theta``.
         profile: ``3 x n``: conductivity, temperature and ``R_mix`` at the inner nodes.
-        heat: ``n x (n'+8)``, the block of ``tau`` by columns, then its inverse, with two columns beside it; ``vapour`` and
+        heat: ``n x (n+2)'``, the block of ``tau`` by columns, then its inverse, with two columns beside it; ``vapour`` and
             ``gel`` likewise with one: see :func:`factorise`.
         edges: ``5 x fields``: derivatives of the fields' rates in (R, U, ln P, q, tau_w).
         factors: ``9 x max(n', m')``: factors of slope, Laplacian and value in the rates of ``tau``, ``C`` and ``theta`` at each
@@ -139,23 +142,27 @@ class Work(NamedTuple):
     keep: np.ndarray
 
 
-def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> tuple[np.ndarray, ...]:
-    """The entries of :class:`Work` for grids of so many nodes, memory states and members of a bundle."""
-    n, m, border = padded(nodes), padded(outer_nodes), _BORDER + states
+def work_for(nodes: int, outer_nodes: int, states: int, width: int, eightfold: bool = False) -> tuple[np.ndarray, ...]:
+    """The entries of :class:`Work` for grids of so many nodes, memory states and members of a bundle.
+
+    ``eightfold`` gives arrays for ``width`` groups of eight members; rows are not padded there.
+    """
+    pad, rows = (int, lanes) if eightfold else (padded, vectors.rows)
+    n, m, border = pad(nodes), pad(outer_nodes), _BORDER + states
     fields = 2 * n + m
-    size = HEAD + fields + padded(states)
+    size = HEAD + fields + pad(states)
     work = Work(
         state=rows(width, size),
         fresh=rows(width, size),
         clock=np.zeros(width),
         nodes=np.zeros((width, 2, 6)),
         counts=np.zeros((2, width), np.int64),
-        inner=rows(2, 2 * n + 8),
-        outer=rows(1, 2 * m + 8),
+        inner=rows(2, 2 * n + 1),
+        outer=rows(1, 2 * m + 1),
         profile=rows(3, n),
-        heat=rows(nodes, n + 2),
-        vapour=rows(nodes, n + 1),
-        gel=rows(outer_nodes, m + 1),
+        heat=rows(nodes, nodes + 2),
+        vapour=rows(nodes, nodes + 1),
+        gel=rows(outer_nodes, outer_nodes + 1),
         edges=rows(_BORDER, fields),
         factors=rows(9, max(n, m)),
         coupling=rows(2, n),
@@ -165,13 +172,13 @@ def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> tuple[np.
         argument=rows(size),
         right=rows(size),
         rate=rows(size),
-        slopes=np.zeros(border),
-        memory_slopes=np.zeros((2 + states, states)),
+        slopes=rows(border),
+        memory_slopes=rows(2 + states, states),
         moved=np.zeros((2, states), np.complex128),
-        wall_rows=np.zeros((2, 8)),
+        wall_rows=rows(2, 8),
         drive=rows(fields),
         small=rows(2, max(n, border)),
-        keep=rows(max(n + 8, m + 8, border)),
+        keep=rows(max(nodes + 2, outer_nodes + 1, border, 8)),
     )
     return tuple(work)
 
@@ -280,7 +287,7 @@ def shifted(factors, first, laplacian, shift, out):
     by_slope, by_bend, by_value = factors[0], factors[1], factors[2]
     for j in range(len(out)):
         column, slope, bend = out[j], first[j], laplacian[j]
-        for i in range(0, first.shape[1], 8):
+        for i in range(0, first.shape[1], STRIDE):
             change = load(by_bend, i) * load(bend, i) + load(by_slope, i) * load(slope, i)
             store(column, i, spread(0.0) - change)
         column[j] += shift - by_value[j]
@@ -330,36 +337,40 @@ def factorise(shift, space, work):
     """
     factors, coupling, keep = work.factors, work.coupling, work.keep
     heat, vapour, gel = work.heat, work.vapour, work.gel
-    n, m = space.first.shape[1], space.outer_first.shape[1]
+    n, m, inner, outer = space.first.shape[1], space.outer_first.shape[1], len(space.y), len(space.shear)
     shifted(factors[0:3], space.first, space.laplacian, shift, heat)
     shifted(factors[3:6], space.first, space.laplacian, shift, vapour)
     shifted(factors[6:9], space.outer_first, space.outer_laplacian, shift, gel)
-    for j in range(len(vapour)):
-        vapour[j, n] = space.inside[1 + j, 2 * n]
+    for j in range(inner):
+        vapour[j, inner] = space.inside[1 + j, 2 * n]
     invert(vapour, keep)
     through, slope = work.small[0], work.small[1, :n]
-    for j in range(len(vapour)):  # the slope of C at the wall hangs on tau through C_t
-        through[j] = vapour[j, n] * coupling[1, j]
+    for j in range(inner):  # the slope of C at the wall hangs on tau through C_t
+        through[j] = vapour[j, inner] * coupling[1, j]
     multiply(space.rows, through, slope)
-    for j in range(len(heat)):
-        heat[j, n] = space.inside[1 + j, 2 * n]
-        heat[j, n + 1] = slope[j] + vapour[j, n] * coupling[0, j]
+    for j in range(inner):
+        heat[j, inner] = space.inside[1 + j, 2 * n]
+        heat[j, inner + 1] = slope[j] + vapour[j, inner] * coupling[0, j]
     invert(heat, keep)
-    for j in range(len(gel)):
-        gel[j, m] = space.outside[1 + j, 2 * m]
+    for j in range(outer):
+        gel[j, outer] = space.outside[1 + j, 2 * m]
     invert(gel, keep)
     for k in range(2):
         row, line = work.wall_rows[k], work.functionals[k]
-        for j in range(len(heat)):
-            line[j] = row[5] * heat[j, n] + row[6] * heat[j, n + 1]
-            line[n + j] = row[6] * vapour[j, n]
-        for j in range(len(gel)):
-            line[2 * n + j] = row[7] * gel[j, m]
-    _border(shift, work)
+        for j in range(inner):
+            line[j] = row[5] * heat[j, inner] + row[6] * heat[j, inner + 1]
+            line[n + j] = row[6] * vapour[j, inner]
+        for j in range(outer):
+            line[2 * n + j] = row[7] * gel[j, outer]
+    for j in range(inner):  # so that only zeros are beside the inverses
+        heat[j, inner], heat[j, inner + 1], vapour[j, inner] = 0.0, 0.0, 0.0
+    for j in range(outer):
+        gel[j, outer] = 0.0
+    _border(shift, space, work)
     invert(work.border, keep)
 
 
-def _border(shift, work):
+def _border(shift, space, work):
     """The system in (R, U, ln P, q, tau_w, memory) that is left when the fields are eliminated, by columns."""
     columns, s = work.border, work.slopes
     states = len(columns) - _BORDER
@@ -369,7 +380,7 @@ def _border(shift, work):
     columns[2, 2], columns[3, 2] = shift, -1.0
     for row in range(2):
         for k in range(_BORDER):
-            columns[k, 3 + row] = -dot(work.functionals[row], work.edges[k]) - work.wall_rows[row, k]
+            columns[k, 3 + row] = -dot(work.functionals[row], work.edges[k], space, work.keep) - work.wall_rows[row, k]
     columns[3, 3] += 1.0
     for k in range(states):
         columns[_BORDER + k, 1] = -s[5 + k]
@@ -385,7 +396,7 @@ def solve(right, space, work, out):
     n, states, coupling, drive = vapours - HEAD, len(work.border) - _BORDER, work.coupling, work.drive
     inputs, z = work.small[1], work.small[0, : work.border.shape[1]]
     for k in range(2):
-        inputs[3 + k] = dot(work.functionals[k], right[HEAD:])
+        inputs[3 + k] = dot(work.functionals[k], right[HEAD:], space, work.keep)
     inputs[0], inputs[1], inputs[2] = right[0], right[1], right[2]
     inputs[4] += right[3]
     for k in range(states):
@@ -394,7 +405,7 @@ def solve(right, space, work, out):
     out[0], out[1], out[2], out[3] = z[0], z[1], z[2], z[4]
     for k in range(states):
         out[memory + k] = z[_BORDER + k]
-    for i in range(0, len(drive), 8):
+    for i in range(0, len(drive), STRIDE):
         change = spread(z[0]) * load(work.edges[0], i)
         for k in range(1, _BORDER):
             change = change + spread(z[k]) * load(work.edges[k], i)
@@ -402,7 +413,7 @@ def solve(right, space, work, out):
     warm, slope = out[HEAD:vapours], work.small[0, :n]
     multiply(work.heat, drive, warm)
     multiply(space.first, warm, slope)
-    for i in range(0, n, 8):
+    for i in range(0, n, STRIDE):
         change = load(coupling[1], i) * load(slope, i) + load(coupling[0], i) * load(warm, i)
         store(drive, n + i, load(drive, n + i) + change)
     multiply(work.vapour, drive[n:], out[vapours:gels])
@@ -411,7 +422,7 @@ def solve(right, space, work, out):
 
 def add_increments(weights, count, scale, increments, out):
     """``out += scale sum_k weights[k] increments[k]`` over the first increments."""
-    for i in range(0, len(out), 8):
+    for i in range(0, len(out), STRIDE):
         sums = load(out, i)
         for k in range(count):
             sums = sums + spread(weights[k] * scale) * load(increments[k], i)
@@ -455,3 +466,19 @@ def step(state, time, h, space, work, member, setup, out):
         solve(right, space, work, increments[stage])
     for i in range(size):
         out[i] = argument[i] + increments[STAGES - 1, i]
+
+
+def start(space, member, setup, state):
+    """The state at time zero: the wall at the far temperature, vapour in equilibrium with it."""
+    b, n, (vapours, _, memory) = member.b, len(space.y), parts_of(space)
+    state[:] = 0.0
+    state[0], state[1], state[2] = 1.0, b.velocity, np.log(b.start)
+    for i in range(n):
+        state[HEAD + i] = warm_profile(space.y[i], b.warmth, setup.c)
+    state[vapours : vapours + n] = wall_of(b.start, 1.0, 1.0, 0.0, b, setup.c).vapour
+    laws.start(b.rest_radius, member.terms, member.theta, state[memory:])
+
+
+def pace(state):
+    """A bubble's own time scale (as in :mod:`imr_torch.simulate.clock`)."""
+    return state[0] / np.sqrt(REST + np.exp(state[2]) + state[1] * state[1])

@@ -2,27 +2,32 @@
 
 Step control and bundles as in the tensor engine (:mod:`~imr_torch.simulate.controller`,
 :mod:`~imr_torch.simulate.ode_method`), for one bubble at a time: no masks, no slots. A bundle is a loop over its members along
-the leader's steps (:mod:`imr_torch.simulate.compiled.step`). Functions here are compiled by
+the leader's steps (:mod:`imr_torch.simulate.compiled.step`), or over eights of them
+(:mod:`imr_torch.simulate.compiled.followers`). Functions here are compiled by
 :mod:`imr_torch.simulate.compiled.build`.
 """
 
 import numpy as np
 
 from imr_torch.simulate.compiled import laws
-from imr_torch.simulate.compiled.output import (
-    ACCELERATION,
-    PRESSURE,
-    PRESSURE_RATE,
-    RADIUS,
-    TIME,
-    VELOCITY,
-    fill,
-    fill_pressure,
+from imr_torch.simulate.compiled.followers import accept, alone, eightfold, follow, followers_of, start_followers
+from imr_torch.simulate.compiled.output import record
+from imr_torch.simulate.compiled.step import (
+    GAMMA,
+    HEAD,
+    ORDER,
+    STAGES,
+    Space,
+    Work,
+    factorise,
+    linearise,
+    pace,
+    parts_of,
+    start,
+    step,
 )
-from imr_torch.simulate.compiled.step import GAMMA, HEAD, ORDER, STAGES, Space, Work, factorise, linearise, parts_of, step
 from imr_torch.simulate.compiled.wall import member_of, setup_of
-from imr_torch.simulate.contents import wall_of, warm_profile
-from imr_torch.simulate.controller import GROW, HEAT_WEIGHT, PATIENCE, REST, RUNAWAY, SAFETY, SHRINK, UNDERFLOW
+from imr_torch.simulate.controller import GROW, HEAT_WEIGHT, PATIENCE, RUNAWAY, SAFETY, SHRINK, UNDERFLOW
 from imr_torch.simulate.simulator import Status
 
 _DONE, _TOO_MANY, _NON_FINITE = int(Status.DONE), int(Status.TOO_MANY_STEPS), int(Status.NON_FINITE)
@@ -55,32 +60,9 @@ def scaled_error(before, after, error, space, tolerance):
     return np.sqrt(np.sqrt(total)) / tolerance
 
 
-def start(space, member, setup, state):
-    """The state at time zero: the wall at the far temperature, vapour in equilibrium with it."""
-    b, n, (vapours, _, memory) = member.b, len(space.y), parts_of(space)
-    state[:] = 0.0
-    state[0], state[1], state[2] = 1.0, b.velocity, np.log(b.start)
-    for i in range(n):
-        state[HEAD + i] = warm_profile(space.y[i], b.warmth, setup.c)
-    state[vapours : vapours + n] = wall_of(b.start, 1.0, 1.0, 0.0, b, setup.c).vapour
-    laws.start(b.rest_radius, member.terms, member.theta, state[memory:])
-
-
-def record(state, time, log_rate, nodes, begin, second, times, curves, work):
-    """Make a state the last node, and fill the output up to it unless it is the first; returns the next time to be filled."""
-    before, node = nodes[0], nodes[1]
-    for i in range(len(node)):
-        before[i] = node[i]
-    node[TIME], node[RADIUS], node[VELOCITY] = time, state[0], state[1]
-    node[ACCELERATION], node[PRESSURE], node[PRESSURE_RATE] = work.rate[1], state[2], log_rate
-    if not second:
-        return begin
-    end = fill(before, node, begin, times, curves[0], curves[1])
-    fill_pressure(before, node, begin, end, times, curves[2])
-    return end
-
-
-def solve_bundle(numbers, theta, terms, effects, setup, space, tolerance, max_steps, first_step, times, curves, work):
+def solve_bundle(
+    numbers, theta, terms, effects, setup, space, tolerance, max_steps, first_step, times, curves, work, followers
+):
     """Integrate a leader and its followers, which take its steps in proportion to their time scales.
 
     Why so: :mod:`imr_torch.simulate.ode_method`.
@@ -98,11 +80,12 @@ def solve_bundle(numbers, theta, terms, effects, setup, space, tolerance, max_st
         times: ``w x n_t``.
         curves: ``3 x w x n_t``, receives radius, velocity and pressure; NaN where a member did not get.
         work: arrays to spare.
+        followers: see :class:`imr_torch.simulate.compiled.followers.Followers`.
 
     Returns:
         The leader's status, and how many nodes its path has.
     """
-    width = len(numbers)
+    width, single = len(numbers), alone(len(numbers))  # the members after these are taken eight at a time
     state, fresh, clock, nodes = work.state, work.fresh, work.clock, work.nodes
     filled, recorded, last = work.counts[0], work.counts[1], 0.0
     curves[:] = np.nan
@@ -110,7 +93,9 @@ def solve_bundle(numbers, theta, terms, effects, setup, space, tolerance, max_st
     work.counts[:] = 0
     for k in range(width):
         last = max(last, times[k, -1])
+    for k in range(single):
         start(space, member_of(numbers[k], theta[k], terms, effects), setup, state[k])
+    start_followers(numbers, theta, terms, effects, setup, followers)
     h, error, grow, count, tries, paced, status = first_step, 0.0, True, 1, 0, pace(state[0]), -1
     while True:
         behind = False
@@ -125,13 +110,12 @@ def solve_bundle(numbers, theta, terms, effects, setup, space, tolerance, max_st
         elif tries >= max_steps:
             status = _TOO_MANY
         tries += 1
-        for k in range(width):
+        for k in range(single):
             member = member_of(numbers[k], theta[k], terms, effects)
             if recorded[k] < count:  # a state at which no step was tried yet
                 log_rate = linearise(state[k], clock[k], space, work, member, setup)
-                filled[k] = record(
-                    state[k], clock[k], log_rate, nodes[k], filled[k], recorded[k] > 0, times[k], curves[:, k], work
-                )
+                node = (clock[k], state[k, 0], state[k, 1], work.rate[1], state[k, 2], log_rate)
+                filled[k] = record(node, nodes[k], filled[k], recorded[k] > 0, times[k], curves[:, k])
                 recorded[k] = count
             if status >= 0:
                 continue
@@ -142,14 +126,18 @@ def solve_bundle(numbers, theta, terms, effects, setup, space, tolerance, max_st
                 error = scaled_error(state[0], fresh[0], work.increments[STAGES - 1], space, tolerance)
                 if not error <= 1.0:
                     break
+        accepted = status < 0 and error <= 1.0
+        for which in range(len(followers.numbers) if accepted or status >= 0 else 0):
+            members = eightfold(which, numbers, theta, terms, effects, followers)
+            follow(which, members, status >= 0, h, paced, followers, setup, clock, nodes, work.counts, times, curves)
         if status >= 0:
             break
-        accepted = error <= 1.0
         if accepted:
-            for k in range(width):
+            for k in range(single):
                 clock[k] += h if k == 0 else h * (pace(state[k]) / paced)
                 for i in range(state.shape[1]):
                     state[k, i] = fresh[k, i]
+            accept(h, paced, clock, followers)
             count += 1
             paced = pace(state[0])
         factor = SHRINK
@@ -164,11 +152,6 @@ def solve_bundle(numbers, theta, terms, effects, setup, space, tolerance, max_st
     return status, count
 
 
-def pace(state):
-    """A bubble's own time scale (as in :mod:`imr_torch.simulate.clock`)."""
-    return state[0] / np.sqrt(REST + np.exp(state[2]) + state[1] * state[1])
-
-
 def solve_block(which, width, rows, theta, terms, effects, shared, settings, times, curves, status, steps, arrays):
     """Integrate some bundles of a batch, one by one.
 
@@ -180,15 +163,18 @@ def solve_block(which, width, rows, theta, terms, effects, shared, settings, tim
         terms: a row a bundle: which stress terms act; ``effects`` likewise.
         effects: see ``terms``.
         shared: what :func:`imr_torch.simulate.compiled.wall.setup_of` takes.
-        settings: the entries of :class:`Space`; tolerance, steps at most, and length of the first step.
+        settings: the entries of :class:`Space`, with rows padded and not; tolerance, steps at most, and length of the
+            first step.
         times: ``B x n_t``.
         curves: ``3 x B x n_t``, receives radius, velocity and pressure.
         status: of each bundle, receives its status; ``steps`` the nodes of its path.
         steps: see ``status``.
-        arrays: of :func:`work_for`, for the memory states that these bundles have.
+        arrays: of :func:`imr_torch.simulate.compiled.step.work_for` and
+            :func:`imr_torch.simulate.compiled.followers.arrays_for`, for the memory states that these bundles have.
     """
-    grids, tolerance, max_steps, first_step = settings
-    setup, space, work = setup_of(shared), Space(*grids), Work(*arrays)
+    (padded, plain), tolerance, max_steps, first_step = settings
+    setup, space, work = setup_of(shared), Space(*padded), Work(*arrays[0])
+    followers = followers_of(plain, arrays[1])
     for bundle in which:
         begin, end = bundle * width, (bundle + 1) * width
         status[bundle], steps[bundle] = solve_bundle(
@@ -204,4 +190,5 @@ def solve_block(which, width, rows, theta, terms, effects, shared, settings, tim
             times[begin:end],
             curves[:, begin:end],
             work,
+            followers,
         )
