@@ -155,6 +155,48 @@ def test_that_bundles_are_the_same_and_leaders_as_without_followers(kind, model:
     assert float((damaged.radius[:, 2] - ours.radius[:, 2]).abs().max()) > 1e-6
 
 
+FOLLOWED = {
+    "one term": {"G": 4e3},
+    "memory": {"G": 4e3, "mu": 0.08, "tau": 2e-6, "damage": 1e-3},
+    **{e.name: {"G": 4e3, "mu": 0.08} | dict(zip(e.names, e.starts[0], strict=True)) for e in EFFECTS if e.physical},
+}
+
+
+def followers(values: dict[str, float], width: int) -> Tensor:
+    """A gel and others that differ from it by some tenths of a percent in every parameter that it has, ``width x p``."""
+    return gel(**values) * (1.0 + 1e-3 * torch.arange(width, dtype=torch.float64)[:, None])
+
+
+@SIMULATORS
+@pytest.mark.parametrize("values", FOLLOWED.values(), ids=FOLLOWED)
+def test_that_a_follower_is_the_same_in_a_bundle_of_any_size_bit_for_bit(kind, values: dict[str, float]) -> None:
+    """Many followers are integrated eight at a time, few one by one."""
+    bundle, simulator = followers(values, 15), kind(threads=1)
+    whole = simulator.bundle(bundle, DESIGNS[:1], TIMES)
+    assert bool(torch.isfinite(whole.radius).all())
+    for members in ([0, 3], [0, 14, 1, 2, 3, 4], [0, *range(9, 0, -1)]):
+        part = simulator.bundle(bundle[members], DESIGNS[:1], TIMES)
+        for name in ("radius", "velocity", "bubble_pressure"):
+            assert torch.equal(getattr(part, name), getattr(whole, name)[members])
+
+
+def test_that_grids_of_any_size_serve_many_followers() -> None:
+    simulator = TransportSimulator(accuracy=Accuracy(1e-3, Resolution(9, 12)))
+    bundle = followers({"G": 4e3, "mu": 0.08, "tau": 2e-6}, 7)
+    many, two = (simulator.bundle(bundle[members], DESIGNS[:1], TIMES).radius for members in (range(7), [0, 6]))
+    assert torch.equal(many[[0, 6]], two)
+
+
+def test_that_a_follower_that_fails_disturbs_no_other() -> None:
+    simulator, bundle = TransportSimulator(), followers({"G": 4e3, "mu": 0.08}, 8)
+    good = simulator.bundle(bundle, DESIGNS[:1], TIMES).radius
+    bundle[3, PARAMETERS.index(["G"])] = 1e200
+    failed = simulator.bundle(bundle, DESIGNS[:1], TIMES).radius
+    assert not torch.isfinite(failed[3]).all()
+    others = [k for k in range(8) if k != 3]
+    assert torch.equal(failed[others], good[others])
+
+
 FAILURES = [
     (TransportSimulator, {"G": 4e3, "mu": 0.08}, {"accuracy": Accuracy(max_steps=40)}, Status.TOO_MANY_STEPS),
     (TransportSimulator, {"G": 1e5, "alpha": -1.0}, {}, Status.UNBOUNDED_ENERGY),

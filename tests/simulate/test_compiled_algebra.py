@@ -28,4 +28,5 @@ def test_that_products_are_those_of_numpy() -> None:
     assert np.allclose(out, vector @ columns, rtol=0.0, atol=1e-14)
     compiled(algebra.apply)(columns, 3.0, vector[1:], out)
     assert np.allclose(out, 3.0 * columns[0] + vector[1:] @ columns[1:], rtol=0.0, atol=1e-14)
-    assert compiled(algebra.dot)(columns[0], columns[1]) == pytest.approx(columns[0] @ columns[1], rel=1e-14)
+    product = compiled(algebra.dot)(columns[0], columns[1], None, None)
+    assert product == pytest.approx(columns[0] @ columns[1], rel=1e-14)
