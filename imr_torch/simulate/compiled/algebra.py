@@ -1,5 +1,7 @@
 """Small dense algebra for one bubble, eight neighbouring numbers of a row at a time; compiled.
 
+Also for eight bubbles, one number of each at a time: see :mod:`imr_torch.simulate.compiled.lanes`.
+
 Rows are padded with zeros to a multiple of eight: see :mod:`imr_torch.simulate.compiled.vectors`. Four pivots are taken at a
 time, so that a row is loaded and stored a quarter as often.
 """
@@ -8,7 +10,10 @@ from imr_torch.simulate.compiled.vectors import STRIDE, load, spread, store, tot
 
 
 def dot(one, other, space, spare):
-    """Inner product of rows of all fields, of which ``other`` may be longer."""
+    """Inner product of rows of all fields, of which ``other`` may be longer.
+
+    Padding adds nothing; that of eight bubbles, without padding, takes ``space`` and a ``spare`` row.
+    """
     partial = spread(0.0)
     for i in range(0, len(one), 8):
         partial = partial + load(one, i) * load(other, i)

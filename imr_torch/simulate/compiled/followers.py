@@ -27,7 +27,7 @@ from imr_torch.simulate.compiled.step import GAMMA, Space, Work, pace, start, wo
 from imr_torch.simulate.compiled.vectors import lane, lanes, members_of, spread, with_lane
 
 LEAST = 5
-pace_eight = ForEight(pace)
+pace_eight: Any = ForEight(pace)
 
 
 class Followers(NamedTuple):

@@ -34,7 +34,9 @@ class ForEight:
     function: Callable[..., Any]
 
 
-linearise_eight, factorise_eight, step_eight = ForEight(step.linearise), ForEight(step.factorise), ForEight(step.step)
+linearise_eight: Any = ForEight(step.linearise)
+factorise_eight: Any = ForEight(step.factorise)
+step_eight: Any = ForEight(step.step)
 
 
 class Spare(NamedTuple):

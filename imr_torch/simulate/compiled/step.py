@@ -2,7 +2,8 @@
 
 The same equations and method as the tensor engine (:mod:`~imr_torch.simulate.rhs`, :mod:`~imr_torch.simulate.linearise`,
 :mod:`~imr_torch.simulate.bordered`, :mod:`~imr_torch.simulate.rosenbrock`), in loops over the nodes of one bubble. Functions
-here are compiled by :mod:`imr_torch.simulate.compiled.build`.
+here are compiled by :mod:`imr_torch.simulate.compiled.build`, for one bubble and for eight
+(:mod:`imr_torch.simulate.compiled.lanes`): a number that differs between bubbles may be eight numbers, so none is tested.
 """
 
 from typing import NamedTuple

@@ -1,4 +1,7 @@
-"""Eight neighbouring numbers of a row as one value of compiled code, with the instructions that processors have for that.
+"""Eight numbers as one value of compiled code, with the instructions that processors have for that.
+
+They are eight neighbours of a row, or, where eight bubbles are integrated at once, one number of each
+(:mod:`imr_torch.simulate.compiled.lanes`).
 
 Compilers turn a plain loop over a row of 16 numbers into tests (whether rows overlap, what is left over) that take as long as
 the arithmetic. With :func:`load`, :func:`store`, :func:`spread` and the operators ``+``, ``-`` and ``*`` there is nothing to
@@ -12,7 +15,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
-from numba.core.typeconv import Conversion
+from numba.core.typeconv.castgraph import Conversion
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, overload, register_model
 from numba.np.arrayobj import make_array, populate_array
@@ -25,7 +28,7 @@ _VECTOR = ir.VectorType(ir.DoubleType(), _WIDTH)
 
 
 class Eight(types.Type):
-    """The type of eight neighbouring numbers."""
+    """The type of eight numbers."""
 
     def __init__(self) -> None:
         super().__init__(name="Eight")
