@@ -199,11 +199,11 @@ def _share_out(
     threads = min(threads, len(bundles))
     size = max(1, min(_CHUNK, len(bundles) // (_SHARES * threads)))
     chunks = [bundles[first : first + size] for first in range(0, len(bundles), size)]
-    announced(module, entry, (chunks[0], *arguments, arrays()))  # compiles, if need be, before threads begin
+    own = arrays()
+    announced(module, entry, (chunks[0], *arguments, own))  # compiles, if need be, before threads begin
     function = getattr(module, entry)
     rest = chunks[1:]
     if threads == 1:
-        own = arrays()
         for chunk in rest:
             function(chunk, *arguments, own)
     else:
