@@ -43,18 +43,10 @@ _FIELDS = tuple(
     )
 )
 
-_INLINE: dict[Any, Literal["never", "machine", "source"]] = {
-    transport.solve_bundle: "source",
-    wall.motion_slopes: "never",
-    lanes.linearise_eight: "never",
-    lanes.factorise_eight: "never",
-    lanes.step_eight: "never",
-    ForEight(algebra.invert): "never",
-    ForEight(algebra.dot): "never",
-}
+_INLINE: dict[Any, Literal["never", "machine", "source"]] = {transport.solve_bundle: "source", wall.motion_slopes: "never"}
 """How callers take in a function, where not as machine code: see :func:`imr_torch.elementary.kernel`.
 
-A call costs nothing beside what these do, and taking them in would take a third longer to compile.
+Calls of a long function cost little, and so do those of functions for eight bubbles; to take them all in takes longer to compile.
 """
 _TWICE = (step.__name__, algebra.__name__)  # whose functions are compiled for one bubble and for eight
 
@@ -119,7 +111,7 @@ def _bound(function: Any, module: types.ModuleType, bound: dict[Any, Any]) -> An
     if function not in bound:
         own = function.function if isinstance(function, ForEight) else function
         scope = _scope(function, module, bound)
-        inline = _INLINE.get(function, "machine")
+        inline = _INLINE.get(function, "never" if own is not function else "machine")
         bound[function] = elementary.kernel(types.FunctionType(own.__code__, scope, own.__name__), inline=inline)
     return bound[function]
 
