@@ -46,7 +46,7 @@ _FIELDS = tuple(
 _INLINE: dict[Any, Literal["never", "machine", "source"]] = {transport.solve_bundle: "source", wall.motion_slopes: "never"}
 """How callers take in a function, where not as machine code: see :func:`imr_torch.elementary.kernel`.
 
-Calls of a long function cost little, and so do those of functions for eight bubbles; to take them all in takes longer to compile.
+Calls of a long function cost little, and so do those of functions for eight bubbles; taking them in takes longer to compile.
 """
 _TWICE = (step.__name__, algebra.__name__)  # whose functions are compiled for one bubble and for eight
 
