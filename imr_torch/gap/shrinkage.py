@@ -12,7 +12,7 @@ stand the best rival's ``S`` and the difference in held-out log predictive densi
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -20,13 +20,13 @@ from jaxtyping import Float, Int, Shaped
 from scipy.stats import chi2
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, Point, SearchOptions, assimilate
+from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions, assimilate
 from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
 from imr_torch.gap.linear import Linearisation, linearise_at
 from imr_torch.gap.phases import noise_shares, phase_numbers
 from imr_torch.material import Belief
-from imr_torch.observe import ExperimentBatch
+from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.select import default_folds
 from imr_torch.simulate import Simulator
@@ -34,8 +34,11 @@ from imr_torch.types import Progress
 
 _BOOTSTRAP = 2000
 _APART = 0.03  # prior standard deviations between the starts of a training fit: many posterior ones, and inside one basin
-_STEPS = 2  # Gauss-Newton steps for the nuisances of a held-out design
-_STEPS_OF_GELS = 5  # where the gel of a design may differ from that of the others, which need not be by little
+_STEPS = 40  # for the nuisances of a held-out design, at most; most take two to five
+_TIME_ZERO = NUISANCES.index("time_zero")
+_REACH, _MOST_STARTS = 3.0, 30  # standard deviations of time zero that are scanned, and values at most, on either side
+_SETTLED = 0.01  # nats that another step is expected to gain, below which they are fitted
+_DAMPING, _EASED, _STIFFER = 1e-3, 0.1, 10.0  # of the first step, over the Hessian; factors on it after a good and a bad step
 _ADEQUATE = 0.01
 _WIDEST = 2.0  # size of S beyond which the base leaves almost no gap to reduce
 _OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0, polish=False)  # .05 nats: below training noise
@@ -339,6 +342,7 @@ def held_out(
     spread = torch.zeros(size, dtype=torch.float64) if scatter is None else scatter
     own, count, data = spread > 0.0, int(columns.sum()), batch.mask.numel()
     moved = torch.zeros(count + int(own.sum()), dtype=torch.float64)  # nuisances, then differences of the gel, standardised
+    moved[:count] = _start(Posterior(fit.prior, batch, simulator), fit.mean)[columns]
 
     def at(moved: Tensor) -> tuple[Linearisation, Tensor, Tensor]:
         nuisances, gel = torch.zeros(1, 3, dtype=torch.float64), fit.mean.clone()
@@ -347,11 +351,7 @@ def held_out(
         slopes = line.fitted[:data]
         return line, slopes[:, :size], torch.cat((slopes[:, size:], slopes[:, :size][:, own] * spread[own]), 1)
 
-    line, by_gel, by_own = at(moved)
-    for _ in range((_STEPS_OF_GELS if bool(own.any()) else _STEPS) if len(moved) else 0):
-        precision = torch.eye(len(moved), dtype=torch.float64) + by_own.mT @ by_own
-        moved = moved + torch.linalg.solve(precision, by_own.mT @ line.residual[:data] - moved)
-        line, by_gel, by_own = at(moved)
+    moved, (line, by_gel, by_own) = _most_probable(at, moved, batch)
     residual = line.residual[:data]
     # the predictive mean is at the fitted gel and the prior mean of the nuisances
     centred = residual + by_own @ moved
@@ -364,6 +364,49 @@ def held_out(
     square, sound = float(innovation.square().sum()), fit.certificate.converged
     phase = phase_numbers(batch.times, batch.mean, batch.mask)[0]
     return HeldOut(residual, by_own, density, square, counts, sound, by_gel @ fit.chol, phase)
+
+
+def _start(posterior: Posterior, gel: Tensor) -> Tensor:
+    """Three standardised nuisances from which to descend: time zero where its cost is lowest at a gel, the others at zero.
+
+    A frame next to a collapse makes the cost of time zero have several minima.
+    """
+    batch = posterior.batch
+    sd, interval = float(batch.nuisance_sds[0, _TIME_ZERO]), float(batch.times[0].diff().abs().median())
+    count = 2 * min(math.ceil(2.0 * _REACH * sd / interval), _MOST_STARTS) + 1 if sd > 0.0 else 1
+    tried = torch.zeros(count, 1, 3, dtype=torch.float64)
+    tried[:, 0, _TIME_ZERO] = torch.linspace(-_REACH, _REACH, count, dtype=torch.float64) if count > 1 else 0.0
+    cost = -posterior.log_joint(Point(gel.expand(count, -1), tried)).nan_to_num(nan=-math.inf)
+    return tried[int(cost.argmin()), 0]
+
+
+_At = Callable[[Tensor], tuple[Linearisation, Tensor, Tensor]]
+"""Standardised nuisances to local sensitivities, those to the gel (``n_t x d``), and those to the nuisances (``n_t x c``)."""
+
+
+def _most_probable(at: _At, moved: Tensor, batch: ExperimentBatch) -> tuple[Tensor, tuple[Linearisation, Tensor, Tensor]]:
+    """Standardised nuisances of the lowest cost near some, by damped Gauss-Newton steps that lower it, and what holds there."""
+
+    def cost(moved: Tensor, line: Linearisation) -> float:
+        value = 0.5 * moved.square().sum() - batch.log_likelihood(line.prediction).sum()
+        return float(value.nan_to_num(nan=math.inf))
+
+    here, damping = at(moved), _DAMPING
+    lowest = cost(moved, here[0])
+    for _ in range(_STEPS if len(moved) else 0):
+        line, _, slopes = here
+        gradient = slopes.mT @ line.residual[: len(slopes)] - moved
+        hessian = torch.eye(len(moved), dtype=torch.float64) + slopes.mT @ slopes
+        step = torch.linalg.solve(hessian + damping * hessian.diagonal().diag(), gradient)
+        if float(step @ gradient) < 2.0 * _SETTLED:
+            break
+        there = at(moved + step)
+        value = cost(moved + step, there[0])
+        lower = value < lowest
+        damping *= _EASED if lower else _STIFFER
+        if lower:
+            moved, here, lowest = moved + step, there, value
+    return moved, here
 
 
 def reductions(

@@ -3,11 +3,13 @@ from dataclasses import replace
 import pytest
 import torch
 
+from imr_torch import example_gel, load_traces
 from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.shrinkage import Comparison, HeldOut, Shrinkage, _design_weights, _shift, held_out, reductions, shrinkage
 from imr_torch.material import LIBRARY
-from imr_torch.observe import Experiment, ExperimentBatch, Nuisance
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, prepare
+from imr_torch.simulate import TransportSimulator
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
 
 RIGHT = Hypothesis(BASE, (LIBRARY["strain_stiffening"],))
@@ -93,6 +95,17 @@ def test_that_a_fitted_nuisance_takes_a_shifted_clock_out_of_the_residual() -> N
     known, fitted = (held_out(best, one, SIMULATOR) for one in late)
     assert float(fitted.residual.square().sum()) < 0.5 * float(known.residual.square().sum())
     assert fitted.square < known.square
+
+
+def test_that_time_zero_of_a_held_out_curve_is_found_past_the_minima_that_its_collapse_makes() -> None:
+    """Largest frames of the example gel are one to two standard deviations late; descents from there end frames away."""
+    experiments = prepare(load_traces(example_gel())).experiments
+    best = fit(shoot({}))
+    truth = best.prior.to_controls(torch.tensor([8310.0, 0.093], dtype=torch.float64))
+    known, noise = replace(best, mean=truth), Noise(scale=0.33, floor=0.0085)
+    for experiment in experiments:
+        found = held_out(known, ExperimentBatch((experiment,), noise), TransportSimulator())
+        assert float(found.residual.square().mean()) < 1.0
 
 
 def test_that_the_interval_covers_the_shrinkage_over_designs_whose_bias_differs() -> None:
