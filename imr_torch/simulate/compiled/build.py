@@ -156,7 +156,7 @@ def announced(module: types.ModuleType, entry: str, arguments: Sequence[Any]) ->
         except Exception:  # whatever unpickling half a file raises; what is wrong with the arguments is raised again below
             for path in cached:
                 path.unlink(missing_ok=True)
-    print(f"imr_torch: compiling {entry} (once on this machine, about half a minute) ...", file=sys.stderr, flush=True)
+    print(f"imr_torch: compiling {entry} (once on this machine, about a minute) ...", file=sys.stderr, flush=True)
     begin = time.perf_counter()
     result = function(*arguments)
     print(f"imr_torch: compiled {entry} in {time.perf_counter() - begin:.0f} s", file=sys.stderr, flush=True)
