@@ -20,8 +20,9 @@ from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.gap.locate import onset
 from imr_torch.gap.phases import PHASES
+from imr_torch.gap.prediction import held_out, hold_out
 from imr_torch.gap.score import ADEQUATE
-from imr_torch.gap.shrinkage import held_out, hold_out, judge
+from imr_torch.gap.shrinkage import judge
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator, fewer_steps
@@ -38,6 +39,7 @@ _DECIDING = (
     "locate",
     "refitted",
     "restrict",
+    "prediction",
     "shrinkage",
     "windows",
 )

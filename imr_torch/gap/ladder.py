@@ -17,8 +17,9 @@ from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence
 from imr_torch.gap.phases import PHASES, noise_shares, phase_numbers
+from imr_torch.gap.prediction import GEL_SCATTER, HeldOut
 from imr_torch.gap.score import ADEQUATE, GapTest
-from imr_torch.gap.shrinkage import GEL_SCATTER, HeldOut, compare, reductions
+from imr_torch.gap.shrinkage import compare, reductions
 from imr_torch.material import PARAMETERS, Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child

@@ -13,8 +13,8 @@ import torch
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.ladder import Rung, left_over
+from imr_torch.gap.prediction import with_scatter
 from imr_torch.gap.scatter import GelScatter
-from imr_torch.gap.shrinkage import with_scatter
 
 
 def own_gel_rungs(scatter: GelScatter, report: GapReport) -> tuple[Rung, ...]:

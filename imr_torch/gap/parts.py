@@ -17,8 +17,9 @@ from imr_torch.gap.ladder import Ladder, climb, with_held_out
 from imr_torch.gap.latent import LatentPressure, latent_pressure
 from imr_torch.gap.locate import ByExperiment, Onset, by_experiment, onset
 from imr_torch.gap.own_gels import own_gel_rungs
+from imr_torch.gap.prediction import hold_out, with_scatter
 from imr_torch.gap.scatter import GelScatter, gel_scatter
-from imr_torch.gap.shrinkage import Shrinkage, hold_out, judge, with_scatter
+from imr_torch.gap.shrinkage import Shrinkage, judge
 from imr_torch.gap.verdict import OTHER
 from imr_torch.gap.windows import MovingWindows, moving_windows
 from imr_torch.material import LIBRARY

@@ -12,66 +12,27 @@ stand the best rival's ``S`` and the difference in held-out log predictive densi
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int, Shaped
 from scipy.stats import chi2
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions, assimilate
+from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
-from imr_torch.gap.linear import Linearisation, linearise_at
-from imr_torch.gap.phases import noise_shares, phase_numbers
-from imr_torch.material import Belief
-from imr_torch.observe import NUISANCES, ExperimentBatch
+from imr_torch.gap.phases import noise_shares
+from imr_torch.gap.prediction import HeldOut, hold_out
+from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
-from imr_torch.select import default_folds
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 _BOOTSTRAP = 2000
-_APART = 0.03  # prior standard deviations between the starts of a training fit: many posterior ones, and inside one basin
-_STEPS = 40  # for the nuisances of a held-out design, at most; most take two to five
-_TIME_ZERO = NUISANCES.index("time_zero")
-_REACH, _MOST_STARTS = 3.0, 30  # standard deviations of time zero that are scanned, and values at most, on either side
-_SETTLED = 0.01  # nats that another step is expected to gain, below which they are fitted
-_DAMPING, _EASED, _STIFFER = 1e-3, 0.1, 10.0  # of the first step, over the Hessian; factors on it after a good and a bad step
 _ADEQUATE = 0.01
 _WIDEST = 2.0  # size of S beyond which the base leaves almost no gap to reduce
-_OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0, polish=False)  # .05 nats: below training noise
 _NONE = "none"
-GEL_SCATTER = "gel_scatter"
-"""Name of the hypothesis that the gel differs between designs."""
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """A design as predicted by a fit that did not see it; whitened, so that the mean of the repeats has unit noise.
-
-    Args:
-        residual: ``n_t`` tensor, data less prediction at the fitted gel.
-        by_nuisance: ``n_t x c`` tensor, change of the prediction by each nuisance of the design, differences of its gel among
-            them where it may have one of its own.
-        log_density: ``n_t`` tensor, log predictive density of each frame of the mean curve given those before it, nats.
-        square: sum of the squared predictive residuals; chi-square with as many degrees of freedom as frames.
-        counts: ``n_t`` tensor, curves behind each frame of the mean.
-        converged: whether the training fit did.
-        by_training: ``n_t x d`` tensor, change of the prediction by one standard deviation of each direction of the training
-            fit's posterior; it is what other training data would have given.
-        phase: ``n_t`` integer tensor, number of the phase of each frame; None for a design of one phase.
-    """
-
-    residual: Float[Tensor, "frames"]
-    by_nuisance: Float[Tensor, "frames nuisances"]
-    log_density: Float[Tensor, "frames"]
-    square: float
-    counts: Shaped[Tensor, "frames"]
-    converged: bool
-    by_training: Float[Tensor, "frames _"]
-    phase: Int[Tensor, "frames"] | None = None
 
 
 @dataclass(frozen=True)
@@ -249,164 +210,6 @@ def _near(
             fit = fit_hypotheses([part], fit, batch, simulator, seed=child(seed, part.name), progress=progress)[part.name]
         fits[hypothesis.name] = fit
     return fits
-
-
-def hold_out(
-    fits: Mapping[str, ModelFit],
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: int,
-    unseen: ExperimentBatch | None = None,
-    scatters: Mapping[str, Float[Tensor, "_"]] | None = None,
-    progress: Progress | None = None,
-) -> dict[str, list[HeldOut]]:
-    """Predictions of designs by hypotheses whose fits did not see them, in the order of the designs.
-
-    Args:
-        fits: name of each hypothesis -> fit to all designs of the batch, near which it is trained on fewer.
-        batch: the data, two designs or more.
-        simulator: makes the bubbles.
-        seed: of the starts.
-        unseen: designs that were held out before anything was fitted; those of the batch are then not held out.
-        scatters: name of a hypothesis -> ``d`` tensor, standard deviations in controls by which the gel of each design may
-            differ from the fitted one; it is judged with them too, under its name with ``gel_scatter``.
-        progress: called with one line per step.
-    """
-
-    def predicted(fits: Mapping[str, ModelFit], part: ExperimentBatch) -> dict[str, HeldOut]:
-        found = {name: held_out(fit, part, simulator) for name, fit in fits.items()}
-        more = {with_scatter(name): held_out(fits[name], part, simulator, sds) for name, sds in (scatters or {}).items()}
-        return found | more
-
-    if unseen is not None:
-        parts = [predicted(fits, _part(unseen, [i])) for i in range(len(unseen.experiments))]
-        return {name: [part[name] for part in parts] for name in parts[0]}
-    count = len(batch.experiments)
-    found: dict[int, dict[str, HeldOut]] = {}
-    for number, out in enumerate(default_folds(count)):
-        training = [i for i in range(count) if i not in out]
-        trained = _train(fits, training, batch, simulator, child(seed, "fold", number))
-        found |= {i: predicted(trained, _part(batch, [i])) for i in out}
-        if progress:
-            progress(f"shrinkage: judged on {', '.join(batch.experiments[i].label for i in out)}")
-    return {name: [found[i][name] for i in range(count)] for name in found[0]}
-
-
-def with_scatter(name: str) -> str:
-    """Name of a hypothesis under which every design has a gel of its own.
-
-    >>> from imr_torch.gap.shrinkage import with_scatter
-    >>> with_scatter("none"), with_scatter("clock")
-    ('gel_scatter', 'clock+gel_scatter')
-    """
-    return GEL_SCATTER if name == _NONE else f"{name}+{GEL_SCATTER}"
-
-
-def _part(batch: ExperimentBatch, chosen: Sequence[int]) -> ExperimentBatch:
-    return ExperimentBatch(tuple(batch.experiments[i] for i in chosen), batch.noise)
-
-
-def _train(
-    fits: Mapping[str, ModelFit], designs: Sequence[int], batch: ExperimentBatch, simulator: Simulator, seed: int
-) -> dict[str, ModelFit]:
-    """Fits of all hypotheses to the training designs, in one batch, each from starts near its fit to all designs."""
-    source = generator(seed)
-    starts = []
-    for fit in fits.values():
-        others = _APART * torch.randn(_OPTIONS.starts - 1, len(fit.mean), generator=source, dtype=torch.float64)
-        starts.append(torch.cat((fit.mean[None], fit.mean + others)))
-    nuisances = [fit.nuisances[list(designs)] for fit in fits.values()]
-    belief = Belief(tuple(fit.prior for fit in fits.values()), torch.zeros(len(fits), dtype=torch.float64))
-    training = _part(batch, designs)
-    found = assimilate(belief, training, simulator, seed=seed, options=_OPTIONS, starts=starts, nuisances=nuisances, warn=False)
-    return dict(zip(fits, found.fits, strict=True))
-
-
-def held_out(
-    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, scatter: Float[Tensor, "controls"] | None = None
-) -> HeldOut:
-    """Predict a design that a fit did not see; its nuisances are fitted with the gel held, by their priors.
-
-    Args:
-        fit: the training fit.
-        batch: the held-out design, alone.
-        simulator: makes the bubbles.
-        scatter: ``d`` tensor, standard deviations in controls by which the gel of this design may differ from the fitted
-            one; these differences are then fitted with the nuisances. One gel for all designs when not given.
-
-    Returns:
-        Residuals at the fitted gel, and the predictive density with gel and nuisances integrated out (linearised).
-    """
-    size, columns = len(fit.mean), (batch.nuisance_sds > 0.0).any(0)
-    spread = torch.zeros(size, dtype=torch.float64) if scatter is None else scatter
-    own, count, data = spread > 0.0, int(columns.sum()), batch.mask.numel()
-    moved = torch.zeros(count + int(own.sum()), dtype=torch.float64)  # nuisances, then differences of the gel, standardised
-    moved[:count] = _start(Posterior(fit.prior, batch, simulator), fit.mean)[columns]
-
-    def at(moved: Tensor) -> tuple[Linearisation, Tensor, Tensor]:
-        nuisances, gel = torch.zeros(1, 3, dtype=torch.float64), fit.mean.clone()
-        nuisances[0, columns], gel[own] = moved[:count], gel[own] + spread[own] * moved[count:]
-        line = linearise_at(Point(gel, nuisances), fit.prior, batch, simulator)
-        slopes = line.fitted[:data]
-        return line, slopes[:, :size], torch.cat((slopes[:, size:], slopes[:, :size][:, own] * spread[own]), 1)
-
-    moved, (line, by_gel, by_own) = _most_probable(at, moved, batch)
-    residual = line.residual[:data]
-    # the predictive mean is at the fitted gel and the prior mean of the nuisances
-    centred = residual + by_own @ moved
-    spread = torch.cat((by_gel @ fit.chol, by_own), 1)
-    chol = torch.linalg.cholesky(torch.eye(data, dtype=torch.float64) + spread @ spread.mT)
-    innovation = torch.linalg.solve_triangular(chol, centred[:, None], upper=False)[:, 0]
-    counts = batch.counts[0]
-    log_scale = chol.diagonal().log() + line.sd[0].log() - 0.5 * (counts / (2.0 * math.pi)).log()
-    density = -0.5 * innovation.square() - log_scale
-    square, sound = float(innovation.square().sum()), fit.certificate.converged
-    phase = phase_numbers(batch.times, batch.mean, batch.mask)[0]
-    return HeldOut(residual, by_own, density, square, counts, sound, by_gel @ fit.chol, phase)
-
-
-def _start(posterior: Posterior, gel: Tensor) -> Tensor:
-    """Three standardised nuisances from which to descend: time zero where its cost is lowest at a gel, the others at zero.
-
-    A frame next to a collapse makes the cost of time zero have several minima.
-    """
-    batch = posterior.batch
-    sd, interval = float(batch.nuisance_sds[0, _TIME_ZERO]), float(batch.times[0].diff().abs().median())
-    count = 2 * min(math.ceil(2.0 * _REACH * sd / interval), _MOST_STARTS) + 1 if sd > 0.0 else 1
-    tried = torch.zeros(count, 1, 3, dtype=torch.float64)
-    tried[:, 0, _TIME_ZERO] = torch.linspace(-_REACH, _REACH, count, dtype=torch.float64) if count > 1 else 0.0
-    cost = -posterior.log_joint(Point(gel.expand(count, -1), tried)).nan_to_num(nan=-math.inf)
-    return tried[int(cost.argmin()), 0]
-
-
-_At = Callable[[Tensor], tuple[Linearisation, Tensor, Tensor]]
-"""Standardised nuisances to local sensitivities, those to the gel (``n_t x d``), and those to the nuisances (``n_t x c``)."""
-
-
-def _most_probable(at: _At, moved: Tensor, batch: ExperimentBatch) -> tuple[Tensor, tuple[Linearisation, Tensor, Tensor]]:
-    """Standardised nuisances of the lowest cost near some, by damped Gauss-Newton steps that lower it, and what holds there."""
-
-    def cost(moved: Tensor, line: Linearisation) -> float:
-        value = 0.5 * moved.square().sum() - batch.log_likelihood(line.prediction).sum()
-        return float(value.nan_to_num(nan=math.inf))
-
-    here, damping = at(moved), _DAMPING
-    lowest = cost(moved, here[0])
-    for _ in range(_STEPS if len(moved) else 0):
-        line, _, slopes = here
-        gradient = slopes.mT @ line.residual[: len(slopes)] - moved
-        hessian = torch.eye(len(moved), dtype=torch.float64) + slopes.mT @ slopes
-        step = torch.linalg.solve(hessian + damping * hessian.diagonal().diag(), gradient)
-        if float(step @ gradient) < 2.0 * _SETTLED:
-            break
-        there = at(moved + step)
-        value = cost(moved + step, there[0])
-        lower = value < lowest
-        damping *= _EASED if lower else _STIFFER
-        if lower:
-            moved, here, lowest = moved + step, there, value
-    return moved, here
 
 
 def reductions(

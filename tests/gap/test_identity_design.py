@@ -8,7 +8,7 @@ from imr_torch.design import DesignSpace, ExpectedInformationGain, Laplace, Plan
 from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign, identity_design, remaining_causes
-from imr_torch.gap.shrinkage import held_out
+from imr_torch.gap.prediction import held_out
 from imr_torch.material import LIBRARY, Belief
 from imr_torch.observe import Experiment, ExperimentBatch, predict
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot

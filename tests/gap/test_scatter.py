@@ -9,8 +9,8 @@ from imr_torch import PolytropicSimulator
 from imr_torch.gap import GapReport, diagnose, library
 from imr_torch.gap.ladder import Ladder, Rung, left_over, with_held_out
 from imr_torch.gap.own_gels import own_gel_rungs
+from imr_torch.gap.prediction import hold_out
 from imr_torch.gap.scatter import GelScatter, gel_scatter
-from imr_torch.gap.shrinkage import hold_out
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory
 

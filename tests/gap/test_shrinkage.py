@@ -6,7 +6,8 @@ import torch
 from imr_torch import example_gel, load_traces
 from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis
-from imr_torch.gap.shrinkage import Comparison, HeldOut, Shrinkage, _design_weights, _shift, held_out, reductions, shrinkage
+from imr_torch.gap.prediction import HeldOut, held_out
+from imr_torch.gap.shrinkage import Comparison, Shrinkage, _design_weights, _shift, reductions, shrinkage
 from imr_torch.material import LIBRARY
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, prepare
 from imr_torch.simulate import TransportSimulator
