@@ -3,6 +3,7 @@
 from imr_torch.assimilate.bad_frames import BadFrame, BadFrames, find_bad_frames
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
+from imr_torch.assimilate.forward import ForwardModel, Point
 from imr_torch.assimilate.frame_jitter import FrameJitter, find_frame_jitter
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
 from imr_torch.assimilate.importance import ImportanceSample
@@ -10,7 +11,7 @@ from imr_torch.assimilate.map_fit import assimilate
 from imr_torch.assimilate.noise_estimation import NOISE_ROUNDS, assimilate_estimating_noise
 from imr_torch.assimilate.noise_posterior import NoiseEdge, NoisePrior, noise_edges
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
-from imr_torch.assimilate.posterior import Neighbourhood, Point, Posterior
+from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.assimilate.profile import Profile, profile
 from imr_torch.assimilate.published import PublishedFit, PublishedOptions, as_one_curve, assimilate_published
 from imr_torch.assimilate.weighing import weigh
@@ -23,6 +24,7 @@ __all__ = [
     "Certificate",
     "En4DVarOptions",
     "FitOptions",
+    "ForwardModel",
     "FrameJitter",
     "ImportanceSample",
     "ModelFit",

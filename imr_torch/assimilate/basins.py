@@ -13,7 +13,8 @@ from torch import Tensor
 
 from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.assimilate.fit import ONE_MINIMUM
-from imr_torch.assimilate.posterior import STEP, Neighbourhood, Point, Posterior
+from imr_torch.assimilate.forward import STEP, Point
+from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.observe import NUISANCES, predict
 from imr_torch.simulate import EARLIEST
 
@@ -72,7 +73,7 @@ def _lowest_places(posterior: Posterior, point: Point) -> Tensor:
 
 
 def _reach(posterior: Posterior, nuisances: Tensor) -> Tensor:
-    """What time zero is moved by, ``P x E`` tensor, dimensionless; nowhere to before there is a bubble."""
+    """Shifts of time zero that are tried, ``P x E`` tensor, dimensionless; none moves a frame to before the bubble exists."""
     batch = posterior.batch
     shifts = nuisances * batch.nuisance_sds
     first = EARLIEST * (1.0 + shifts[..., 0]) - batch.times[:, 0] - shifts[..., _TIME_ZERO]

@@ -13,9 +13,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.assimilate.masking import Masked
-from imr_torch.assimilate.posterior import Neighbourhood, Point, Posterior
+from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 
 _DAMPING = 1e-2
 

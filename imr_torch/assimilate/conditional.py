@@ -11,7 +11,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate.posterior import Point, Posterior
+from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.posterior import Posterior
 
 _LONGEST = 4.0  # prior standard deviations in one step
 

@@ -15,9 +15,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.chains import Chains
+from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.assimilate.options import SearchOptions
-from imr_torch.assimilate.posterior import Neighbourhood, Point
+from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.assimilate.secant import carried
 
 NEAR = 1.0

@@ -20,9 +20,10 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
+from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.assimilate.options import En4DVarOptions
-from imr_torch.assimilate.posterior import Point, Posterior
+from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.published import as_one_curve
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.material import Belief

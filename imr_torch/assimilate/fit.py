@@ -11,8 +11,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.importance import ImportanceSample
-from imr_torch.assimilate.posterior import Point
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import ExperimentBatch
 

@@ -13,9 +13,10 @@ import torch
 
 from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.assimilate.fit import ModelFit
+from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.map_fit import assimilate
 from imr_torch.assimilate.options import SearchOptions
-from imr_torch.assimilate.posterior import Point, Posterior
+from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.starts import around
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch

@@ -15,8 +15,8 @@ from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.chains import Chains, lowest_cost
 from imr_torch.assimilate.descent import NEAR
 from imr_torch.assimilate.fit import NEARLY, PROMISED
+from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.options import SearchOptions
-from imr_torch.assimilate.posterior import Point
 from imr_torch.assimilate.starts import around
 
 Searches = list[Chains]

@@ -16,10 +16,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.gauss_newton import NormalEquations
-from imr_torch.assimilate.posterior import Neighbourhood, Point
+from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.errors import InputDataError
 from imr_torch.observe import ExperimentBatch, Noise
+from imr_torch.observe.noise import TIE
 
 _MOST = 24  # pairs of floor and correlation time
 _WITHIN = 8.0  # nats below the best pair within which a pair counts
@@ -27,7 +29,6 @@ _STEP = 1.1  # between scales, in posterior standard deviations of their logarit
 _BELOW, _ABOVE = 3, 4  # scales on either side; the posterior of a logarithm of a scale has the longer tail above
 _SEARCH = (0.5, 0.15, 0.05)  # half-widths of the parabolas through which the most probable scale is found, in its logarithm
 _LONGEST = 2.0  # posterior standard deviations by which the linearised optimum under another law may lie off the fit
-_TIE = 1e-6  # nats; a law without slope and drift has the same likelihood at every floor
 _ELEMENTS = 2_000_000  # numbers in memory at once
 
 
@@ -251,7 +252,7 @@ def most_probable_law(near: Neighbourhood, prior: NoisePrior) -> Noise:
     local = _Local.of(near, pairs)
     centre, _ = local.best_scales()
     value = local.marginal(centre[:, None])[:, 0]
-    best = int(torch.nonzero(value >= value.max() - _TIE)[0])
+    best = int(torch.nonzero(value >= value.max() - TIE)[0])
     return replace(
         pairs.law,
         scale=math.exp(float(centre[best])),

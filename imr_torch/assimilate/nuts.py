@@ -15,7 +15,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
-from imr_torch.assimilate.posterior import Point, Posterior
+from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import ConvergenceError, InputDataError, UnsupportedError
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator

@@ -16,8 +16,9 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from imr_torch.assimilate.chains import Chains, lowest_cost
+from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.options import SearchOptions
-from imr_torch.assimilate.posterior import Neighbourhood, Point, Posterior
+from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 
 Vector = NDArray[np.float64]
 

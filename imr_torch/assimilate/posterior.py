@@ -1,9 +1,7 @@
 """The posterior of one model's gel and of the nuisances of every experiment: its density and its linearisation at any point.
 
 Prior, data and simulator are combined here and nowhere else: fits, importance sampling, Hamiltonian Monte Carlo and the tests
-of the model's misfit all ask this object. Points are in whitened coordinates, in which the prior is a standard normal: ``d`` of
-the gel, and three of each experiment (Rmax, time zero, R_inf). Sensitivities are differences of bubbles that take the steps of
-one of them (a bundle), so they are those of the solver itself.
+of the model's misfit all ask this object. Coordinates and sensitivities are those of :mod:`imr_torch.assimilate.forward`.
 """
 
 from collections.abc import Sequence
@@ -14,43 +12,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
-from imr_torch.material import ModelBelief
-from imr_torch.observe import ExperimentBatch, predict
-from imr_torch.simulate import Simulator, coarser
-
-STEP = 1e-6
-"""Length of the differences: of the gel in units of ``scale``, of nuisances in prior standard deviations."""
+from imr_torch.assimilate.forward import ForwardModel, Point
+from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
+from imr_torch.observe import ExperimentBatch
+from imr_torch.simulate import coarser
 
 
 @dataclass(frozen=True)
-class Point:
-    """Whitened coordinates of one or many points.
-
-    Args:
-        gel: ``batch_shape x d`` tensor.
-        nuisances: ``batch_shape x E x 3`` tensor.
-
-    >>> import torch
-    >>> from imr_torch.assimilate import Point
-    >>> point = Point(gel=torch.zeros(4, 2, dtype=torch.float64), nuisances=torch.zeros(4, 1, 3, dtype=torch.float64))
-    >>> tuple(point[:2].gel.shape)  # the first two of four gels with one experiment
-    (2, 2)
-    """
-
-    gel: Float[Tensor, "*batch controls"]
-    nuisances: Float[Tensor, "*batch experiments 3"]
-
-    def __getitem__(self, rows: Tensor | slice | int | tuple[Tensor | slice | int | None, ...]) -> "Point":
-        return Point(self.gel[rows], self.nuisances[rows])
-
-    def put(self, rows: Int[Tensor, "rows"], other: "Point") -> "Point":
-        """These points with others in the place of some rows."""
-        return Point(self.gel.index_put((rows,), other.gel), self.nuisances.index_put((rows,), other.nuisances))
-
-
-@dataclass(frozen=True)
-class Posterior:
+class Posterior(ForwardModel):
     """Likelihood times prior of one model.
 
     Args:
@@ -70,51 +39,13 @@ class Posterior:
     [4, -17]
     """
 
-    prior: ModelBelief
     batch: ExperimentBatch
-    simulator: Simulator
-
-    @property
-    def size(self) -> int:
-        """Coordinates of the gel."""
-        return len(self.prior.names)
-
-    @cached_property
-    def uncertain(self) -> Int[Tensor, "columns"]:
-        """Columns of nuisances that are uncertain in any experiment."""
-        return torch.nonzero((self.batch.nuisance_sds > 0.0).any(0))[:, 0]
-
-    @cached_property
-    def _nuisance_steps(self) -> Tensor:
-        """``S x 1 x 3`` tensor: the step of each uncertain nuisance, the same in all experiments."""
-        steps = torch.zeros(len(self.uncertain), 1, 3, dtype=torch.float64)
-        steps[torch.arange(len(self.uncertain)), 0, self.uncertain] = STEP
-        return steps
-
-    def still(self, *batch_shape: int) -> Float[Tensor, "*batch experiments 3"]:
-        """Nuisances at their prior means, ``batch_shape x E x 3``."""
-        return torch.zeros(*batch_shape, *self.batch.nuisance_sds.shape, dtype=torch.float64)
-
-    def to_si(self, gel: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch parameters"]:
-        """Shared parameter vectors, SI."""
-        return self.prior.to_si(gel)
 
     @cached_property
     def coarse(self) -> "Posterior":
         """The same with bubbles of :func:`imr_torch.simulate.coarser`; itself where there are none."""
         simulator = coarser(self.simulator)
         return self if simulator is self.simulator else replace(self, simulator=simulator)
-
-    def predict(self, point: Point, *, bundled: bool = False) -> Float[Tensor, "*batch experiments frames"]:
-        """What the camera would see: ``batch_shape x E x T``, R/Rmax; 0 beyond the last frame, NaN where a bubble fails.
-
-        Args:
-            point: ``batch_shape`` points.
-            bundled: whether the last batch dimension is that of a bundle, whose first point leads.
-        """
-        shifts = point.nuisances * self.batch.nuisance_sds if len(self.uncertain) else None
-        prediction = predict(self.simulator, self.to_si(point.gel), self.batch, shifts, bundled=bundled)
-        return torch.where(self.batch.mask, prediction, 0.0)
 
     def log_joint(
         self, point: Point, prediction: Float[Tensor, "*batch experiments frames"] | None = None
@@ -139,17 +70,7 @@ class Posterior:
                 every coordinate when not given, none for ``N = 0``.
             leader: ``batch_shape`` points whose solver steps all others take; the points themselves when not given.
         """
-        gel, nuisances = point.gel.unsqueeze(-2), point.nuisances.unsqueeze(-3)
-        directions = torch.eye(self.size, dtype=torch.float64) if scale is None else scale.mT
-        moves = (STEP * directions).expand(*gel.shape[:-2], *directions.shape[-2:])
-        shifts = self._nuisance_steps
-        gels = [gel, gel + moves, gel.expand(*gel.shape[:-2], len(shifts), -1)]
-        moved = [nuisances, nuisances.expand(*gel.shape[:-2], moves.shape[-2], -1, -1), nuisances + shifts]
-        if leader is not None:
-            gels.insert(0, leader.gel.unsqueeze(-2))
-            moved.insert(0, leader.nuisances.unsqueeze(-3))
-        prediction = self.predict(Point(torch.cat(gels, -2), torch.cat(moved, -3)), bundled=True)
-        return Neighbourhood(self, point, moves, prediction if leader is None else prediction[..., 1:, :, :])
+        return Neighbourhood(self, point, *self.bundle(point, scale, leader=leader))
 
     def equations(
         self,
@@ -237,16 +158,7 @@ class Neighbourhood:
 
         Neighbours that failed give a slope of zero.
         """
-        count, centre = self.moves.shape[-2], self.centre.unsqueeze(-3)
-        moved, shifted = self.prediction[..., 1 : 1 + count, :, :], self.prediction[..., 1 + count :, :, :]
-        responses = (moved - centre).transpose(-3, -2)  # ... x E x N x T
-        if count:
-            by_gel = ensemble_sensitivity(self.moves.unsqueeze(-3), responses)
-        else:
-            by_gel = centre.new_zeros(*self.centre.shape, self.moves.shape[-1])
-        by_nuisance = torch.zeros(*self.centre.shape, 3, dtype=torch.float64)
-        by_nuisance[..., self.posterior.uncertain] = ((shifted - centre) / STEP).nan_to_num().movedim(-3, -1)
-        return by_gel, by_nuisance
+        return self.posterior.slopes(self.moves, self.prediction)
 
     @property
     def equations(self) -> NormalEquations:

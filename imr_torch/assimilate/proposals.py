@@ -16,7 +16,7 @@ from imr_torch.assimilate.importance import kish
 
 _FREEDOM = 7  # degrees of freedom of the kernels: tails heavier than a Gaussian's, with moments up to the sixth
 _PAIRS = 1_000_000  # of points and kernels, in memory at once
-_WATCH = 0.5  # share of the wide kernel in a proposal made from draws
+_WIDE_SHARE = 0.5  # of the wide kernel in a proposal made from draws
 _WIDE = 1.5  # its size, in standard deviations of the draws
 _WIDEST = 4.0  # most by which kernels are widened in one round
 
@@ -63,9 +63,9 @@ class Kernels:
         width = (4.0 / ((size + 2) * float(kish(weights)))) ** (1.0 / (size + 4))
         kept = weights > 0.0
         chols = width * chol.expand(int(kept.sum()), -1, -1)
-        return cls(points[kept], weights[kept], chols, mean, chol).with_watch(_WATCH)
+        return cls(points[kept], weights[kept], chols, mean, chol).with_wide_kernel(_WIDE_SHARE)
 
-    def with_watch(self, share: float) -> "Kernels":
+    def with_wide_kernel(self, share: float) -> "Kernels":
         """With one wide kernel about all, which covers what the others do not; it takes ``share`` of the probability."""
         return Kernels(
             centres=torch.cat((self.centres, self.mean[None])),

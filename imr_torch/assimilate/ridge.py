@@ -16,7 +16,8 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
-from imr_torch.assimilate.posterior import Neighbourhood, Point, Posterior
+from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.assimilate.proposals import Kernels
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
@@ -29,7 +30,7 @@ _PASSES = 4  # most Gauss-Newton steps at one point
 _NEAR = 0.3  # predicted decrease of the next step, nats, below which a point is taken as fitted
 _LOST = 3.0  # nats of that from which a point is no part of the ridge
 _OVERLAP = 0.7  # scale of a kernel along the ridge over the distance of its neighbours
-_WATCH = 0.1  # share of a wide kernel about all
+_WIDE_SHARE = 0.1  # of a wide kernel about all
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ def _kernels(points: list[_Fitted], fit: ModelFit) -> Kernels:
     weights = torch.softmax(0.5 * torch.linalg.slogdet(inside).logabsdet + spacing.log() - cost, dim=0)
     mean = weights @ gels
     covariance = (weights[:, None] * (gels - mean)).mT @ (gels - mean) + (weights[:, None, None] * flat).sum(0)
-    return Kernels(gels, weights, chols, mean, torch.linalg.cholesky(covariance), hessian).with_watch(_WATCH)
+    return Kernels(gels, weights, chols, mean, torch.linalg.cholesky(covariance), hessian).with_wide_kernel(_WIDE_SHARE)
 
 
 def _across(way: Tensor) -> Tensor:

@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from imr_torch.assimilate.forward import STEP, Point
 from imr_torch.assimilate.gauss_newton import NormalEquations
-from imr_torch.assimilate.posterior import STEP, Neighbourhood, Point
+from imr_torch.assimilate.posterior import Neighbourhood
 
 
 def carried(

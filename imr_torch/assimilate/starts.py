@@ -10,8 +10,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
+from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.options import SearchOptions
-from imr_torch.assimilate.posterior import Point, Posterior
+from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import ConvergenceError, ShapeError
 
 _APART = 0.5  # prior standard deviations between the prior draws that are chosen

@@ -19,10 +19,11 @@ from torch import Tensor
 
 from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
+from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.importance import ImportanceSample, NoiseSample, smooth
 from imr_torch.assimilate.lower import lower_minima, lower_point
 from imr_torch.assimilate.noise_posterior import NoiseNodes, NoisePrior
-from imr_torch.assimilate.posterior import Point, Posterior
+from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.proposals import Kernels, mixture_log_prob, student_draws, student_log_prob
 from imr_torch.assimilate.ridge import trace_ridge
 from imr_torch.errors import ConvergenceError, InputDataError

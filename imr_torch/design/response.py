@@ -13,10 +13,10 @@ import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
-from imr_torch.assimilate.posterior import STEP
+from imr_torch.assimilate import ForwardModel, Point
 from imr_torch.design.plan import Plan
 from imr_torch.material import Belief, ModelBelief
-from imr_torch.observe import Film, predict
+from imr_torch.observe import Film
 from imr_torch.simulate import Simulator
 
 _NEGLIGIBLE = 1e-4  # a model less probable than this changes the gain by less than .001 nats
@@ -54,7 +54,12 @@ class Shot:
     @cached_property
     def film(self) -> Film:
         """What the camera will see of the designs, but for the gel."""
-        return Film(self.designs, self.plan.times.expand(len(self.designs), -1))
+        q = len(self.designs)
+        return Film(self.designs, self.plan.times.expand(q, -1), self.plan.nuisance.sds().expand(q, -1))
+
+    def forward(self, part: ModelBelief) -> ForwardModel:
+        """What the camera would see of one model's gels."""
+        return ForwardModel(part, self.film, self.simulator)
 
 
 @dataclass(frozen=True)
@@ -98,7 +103,8 @@ class Response:
 
 def radii(shot: Shot, part: ModelBelief, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch designs frames"]:
     """R/Rmax of gels at controls; NaN where the solve failed."""
-    return predict(shot.simulator, part.to_si(controls), shot.film)
+    forward = shot.forward(part)
+    return forward.predict(Point(controls, forward.still(*controls.shape[:-1])))
 
 
 def respond(shot: Shot, part: ModelBelief, controls: Float[Tensor, "draws controls"], *, gel: bool = True) -> Response:
@@ -110,15 +116,10 @@ def respond(shot: Shot, part: ModelBelief, controls: Float[Tensor, "draws contro
         controls: ``n x d`` tensor.
         gel: whether the sensitivity to the gel is wanted.
     """
-    d, q = controls.shape[1] if gel else 0, len(shot.designs)
-    sds = shot.plan.nuisance.sds()
-    uncertain = torch.nonzero(sds > 0.0)[:, 0].tolist()
-    moved = torch.zeros(1 + d + len(uncertain), controls.shape[1], dtype=torch.float64)
-    shifts = torch.zeros(len(moved), 1, 3, dtype=torch.float64)
-    for row, (target, column) in enumerate([(moved, i) for i in range(d)] + [(shifts[:, 0], i) for i in uncertain], start=1):
-        target[row, column] = STEP
-    parameters = part.to_si(controls[:, None] + moved)
-    displacement = (shifts * sds).expand(len(controls), -1, q, -1) if uncertain else None
-    radius = predict(shot.simulator, parameters, shot.film, displacement, bundled=True)
-    slopes = ((radius[:, 1:] - radius[:, :1]) / STEP).movedim(1, -1)
-    return Response(controls, radius[:, 0], slopes[..., :d], slopes[..., d:])
+    forward = shot.forward(part)
+    directions = None if gel else controls.new_zeros(controls.shape[-1], 0)
+    moves, seen = forward.bundle(Point(controls, forward.still(len(controls))), directions)
+    by_gel, by_nuisance = forward.slopes(moves, seen)
+    good = torch.isfinite(seen).flatten(1).all(1)[:, None, None]  # of the gel and of all beside it
+    slopes = by_gel if gel else by_gel[..., :0]
+    return Response(controls, torch.where(good, seen[:, 0], torch.nan), slopes, by_nuisance[..., forward.uncertain])

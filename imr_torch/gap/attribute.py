@@ -158,7 +158,7 @@ def reconsider(
         ``found`` itself unless the effect alone explains more than its winner.
     """
     batch, simulator = inquiry.batch, inquiry.simulator
-    starts = {effect.name: _near_values(beside, effect)}
+    starts = {effect.name: near_values(beside, effect)}
     alone = Hypothesis(inquiry.base, (effect,))
     options = replace(_FIT, rival=found.fits[found.winner].cost)
     fit = fit_hypotheses([alone], beside, batch, simulator, seed=seed, starts=starts, options=options)[alone.name]
@@ -170,7 +170,7 @@ def reconsider(
     return _concluded(_Problem(inquiry, null, before, (), 1.0), fits, evidence, seed=seed)
 
 
-def _near_values(fit: ModelFit, effect: Effect) -> list[tuple[float, ...]]:
+def near_values(fit: ModelFit, effect: Effect) -> list[tuple[float, ...]]:
     """An effect's values at a fit that holds it, and the same with a smaller amplitude."""
     amplitude, *shape = fitted_values(fit, effect)
     return [(amplitude, *shape), (_LESS * amplitude, *shape)]

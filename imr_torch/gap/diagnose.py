@@ -14,7 +14,7 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
-from imr_torch.gap.hypotheses import Hypothesis, fit_null, laplace_evidence
+from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, fit_null, laplace_evidence
 from imr_torch.gap.linear import Linearisation
 from imr_torch.gap.score import GapTest
 from imr_torch.gap.verdict import NONE, OTHER, Choice, choose
@@ -28,7 +28,6 @@ from imr_torch.types import Progress
 
 _NO_GAP = 0.5  # probability of the base model alone from which on there is no gap
 _UNKNOWN = 0.5  # probability of an unknown effect from which on the verdict is "other", once further effects were tried
-_FURTHER = 3.0  # nats that an effect must explain to count as more than nothing
 
 
 @dataclass(frozen=True)
@@ -199,7 +198,7 @@ def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed
         own = child(seed, "attribute", len(chosen))
         found = attribute(inquiry, fit, seed=own, with_=chosen, before=before, masked=masked, progress=progress)
         gained = found.log_evidence[found.winner] - found.log_evidence[Hypothesis(inquiry.base, chosen).name]
-        if chosen and gained < _FURTHER:
+        if chosen and gained < EXPLAINS:
             break
         choice, steps, held = choose(found.posterior), (*steps, found), chosen
         if not held and found.posterior[NONE] >= _NO_GAP:
@@ -239,7 +238,7 @@ def _unexplained(
             f"({explained:.0f} nats better than the base; adequacy {p_value(test.p_value)}), which may be why."
         )
         return _Finding("undecided", (), reason, first, test.p_value, choice)
-    if explained < _FURTHER:
+    if explained < EXPLAINS:
         reason = f"No effect of the library explains any of it (adequacy {p_value(test.p_value)})."
     else:
         misfit = f"the misfit in R* goes from {left.test.bias_radius:.4f} to {test.bias_radius:.4f}"

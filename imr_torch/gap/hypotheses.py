@@ -24,6 +24,9 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import PolytropicSimulator, Simulator, coarser
 from imr_torch.types import Progress
 
+EXPLAINS = 3.0
+"""Nats that an effect must explain to count as more than nothing."""
+
 _ROUGH = SearchOptions(gradient=1e-2, starts=2)
 _MANY = 6  # starts where fewer disagree
 _APART = 0.3  # prior standard deviations between the starts of the null fit

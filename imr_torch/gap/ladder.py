@@ -14,23 +14,21 @@ import torch
 
 from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
-from imr_torch.gap.attribute import Inquiry
-from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence
+from imr_torch.gap.attribute import Inquiry, near_values
+from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, finish, fit_hypotheses, laplace_evidence
 from imr_torch.gap.phases import PHASES, noise_shares, phase_numbers
 from imr_torch.gap.prediction import GEL_SCATTER, HeldOut
 from imr_torch.gap.score import ADEQUATE, GapTest
 from imr_torch.gap.shrinkage import compare, reductions
-from imr_torch.material import PARAMETERS, Effect
+from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.types import Progress
 
-_FURTHER = 3.0  # nats that an effect must explain to be added or kept
 _CANDIDATES = 6  # effects that are fitted in a later step
 _FIT = SearchOptions(starts=2, iterations=12, drop_behind=6.0, basin_rounds=0, polish=False)
 _FINISH = SearchOptions(starts=2, iterations=12, basin_rounds=0, polish=False)  # slow ones end uncertified, and say so
 _CLEAR = 10.0  # standard deviations from zero at which an effect is kept: some 50 nats
-_LESS = 0.7  # second start of an effect over its first
 
 
 @dataclass(frozen=True)
@@ -203,7 +201,7 @@ def climb(
     while len(chosen) < most and not rungs[-1].adequate and inquiry.beside(chosen):
         own, before = child(seed, "rung", len(rungs)), rungs[-1]
         added = _best_addition(inquiry, chosen, before.fit, left, fits, seed=own)
-        if added is None or laplace_evidence(added[1]) < laplace_evidence(before.fit) + _FURTHER:
+        if added is None or laplace_evidence(added[1]) < laplace_evidence(before.fit) + EXPLAINS:
             break
         chosen, fit = _without_superfluous(inquiry, *added, seed=own)
         names = frozenset(effect.name for effect in chosen)
@@ -301,12 +299,11 @@ def _without_superfluous(
         tried = [Hypothesis(inquiry.base, tuple(e for e in chosen if e is not out)) for out in doubtful]
         if not tried:
             break
-        first, *shape = fit.parameters(fit.mean)[PARAMETERS.index(last.names)].tolist()
-        starts = {last.name: [(first, *shape), (_LESS * first, *shape)]}
+        starts = {last.name: near_values(fit, last)}
         options = replace(_FIT, rival=fit.cost)
         found = fit_hypotheses(tried, fit, inquiry.batch, inquiry.simulator, seed=seed, starts=starts, options=options)
         best = max(tried, key=lambda h: laplace_evidence(found[h.name]))
-        if laplace_evidence(found[best.name]) < laplace_evidence(fit) - _FURTHER:
+        if laplace_evidence(found[best.name]) < laplace_evidence(fit) - EXPLAINS:
             break
         chosen, fit = best.effects, _finished(found[best.name], inquiry, seed)
     return chosen, fit

@@ -17,7 +17,7 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.hypotheses import laplace_evidence
+from imr_torch.gap.hypotheses import EXPLAINS, laplace_evidence
 from imr_torch.gap.prediction import GEL_SCATTER, with_scatter
 from imr_torch.gap.score import ADEQUATE
 from imr_torch.labels import p_value
@@ -29,7 +29,6 @@ from imr_torch.population.result import quantiles
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 
-_FURTHER = 3.0  # nats over the best effect of the library from which scatter is the better explanation
 _APART = 0.5  # prior standard deviations between the starts of a curve's own fit
 
 
@@ -67,7 +66,7 @@ class GelScatter:
     def is_cause(self) -> bool:
         """Whether scatter is the cause: converged, adequate, and better than every effect that was fitted, by 3 nats."""
         behind = max((value for name, value in self.explained.items() if not name.endswith(GEL_SCATTER)), default=0.0)
-        return self.converged and self.adequate and self.explained[self.leading] >= max(behind, 0.0) + _FURTHER
+        return self.converged and self.adequate and self.explained[self.leading] >= max(behind, 0.0) + EXPLAINS
 
     def sentences(self) -> tuple[str, ...]:
         """The finding in words."""
@@ -151,7 +150,7 @@ def gel_scatter(report: GapReport, simulator: Simulator, *, scale: float = SCALE
         sds[name] = torch.zeros(len(fit.prior.names), dtype=torch.float64)
         for n, i in columns:
             sds[name][i] = scatter[name][n][1] / float(units[i])
-    leading = max(tried, key=lambda name: explained[name] + (_FURTHER if name == GEL_SCATTER else 0.0))
+    leading = max(tried, key=lambda name: explained[name] + (EXPLAINS if name == GEL_SCATTER else 0.0))
     effects = tuple(LIBRARY[name] for name in report.directions if name in LIBRARY)
     p = _adequacy(alone[leading], effects, batch, simulator, seed=child(seed, "adequacy"))
     converged = all(fit.certificate.nearly_converged for fit in alone[leading])

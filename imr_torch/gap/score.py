@@ -30,7 +30,9 @@ ADEQUATE = 0.05
 """P-value of the test at a fit with effects from which on that fit is adequate: the right effects fail it once in twenty."""
 
 _RANK = 1e-3  # singular values below this part of the largest add no direction
-_BOOTSTRAP = 2000
+BOOTSTRAP = 2000
+"""Simulated residuals behind a p value or an interval."""
+
 _PULSES = 8
 _LAWS = (
     ("law_stretch", 1e-3),
@@ -213,7 +215,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     """
     tested = [b for b in blocks if b.directions.shape[1]]
     freedom = line.residual.shape[0] - line.fitted.shape[1]
-    noise = torch.randn(_BOOTSTRAP, line.residual.shape[0], generator=generator(seed), dtype=torch.float64)
+    noise = torch.randn(BOOTSTRAP, line.residual.shape[0], generator=generator(seed), dtype=torch.float64)
     drawn = line.project(noise)
     rows = torch.cat((line.residual[None], drawn))
     ranks = [b.directions.shape[1] for b in tested] + [freedom]
@@ -223,7 +225,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     count = int((smallest[1:] <= smallest[0]).sum())
     bonferroni = min(1.0, len(ranks) * math.exp(float(smallest[0])))
     # p-values that the bootstrap cannot resolve: Bonferroni's bound
-    p_value = (1 + count) / (1 + _BOOTSTRAP) if count else min(bonferroni, 1.0 / (1 + _BOOTSTRAP))
+    p_value = (1 + count) / (1 + BOOTSTRAP) if count else min(bonferroni, 1.0 / (1 + BOOTSTRAP))
     threshold = float(smallest[1:].quantile(LEVEL).exp())
     results = [
         BlockResult(

@@ -24,12 +24,12 @@ from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
 from imr_torch.gap.phases import noise_shares
 from imr_torch.gap.prediction import HeldOut, hold_out
+from imr_torch.gap.score import BOOTSTRAP
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
-_BOOTSTRAP = 2000
 _ADEQUATE = 0.01
 _WIDEST = 2.0  # size of S beyond which the base leaves almost no gap to reduce
 _NONE = "none"
@@ -224,7 +224,7 @@ def reductions(
     """
     source = generator(child(seed, "bootstrap"))
     count = sum(len(d.residual) for d in held[_NONE])
-    noise = [torch.randn(_BOOTSTRAP, len(d.residual), generator=source, dtype=torch.float64) for d in held[_NONE]]
+    noise = [torch.randn(BOOTSTRAP, len(d.residual), generator=source, dtype=torch.float64) for d in held[_NONE]]
     quiet = [_noise_sds([held[name][i] for name in held]) for i in range(len(noise))]
     noise = [own * sds for own, sds in zip(noise, quiet, strict=True)]
     weights = _design_weights(len(noise), source)
@@ -235,7 +235,7 @@ def reductions(
         gaps[name] = sum(observed) - sum(expected)
         trained = [float((_less_nuisances(d, d.by_training.mT).square() / d.counts).sum()) / count for d in designs]
         scales = _scales(observed, expected, trained)
-        training = torch.randn(_BOOTSTRAP, designs[0].by_training.shape[1], generator=source, dtype=torch.float64)
+        training = torch.randn(BOOTSTRAP, designs[0].by_training.shape[1], generator=source, dtype=torch.float64)
         rows = [
             ((scale * d.residual + _less_nuisances(d, e + training @ d.by_training.mT)).square() / d.counts).sum(1) / count
             - left
@@ -263,8 +263,8 @@ def _design_weights(count: int, source: torch.Generator) -> Tensor:
     One design fewer than there are is drawn with replacement (Rao & Wu, J. Am. Stat. Assoc. 83, 1988).
     """
     if count == 1:
-        return torch.ones(_BOOTSTRAP, 1, dtype=torch.float64)
-    picked = torch.randint(count, (_BOOTSTRAP, count - 1), generator=source)
+        return torch.ones(BOOTSTRAP, 1, dtype=torch.float64)
+    picked = torch.randint(count, (BOOTSTRAP, count - 1), generator=source)
     times = torch.nn.functional.one_hot(picked, count).sum(1).to(torch.float64)
     return times * count / (count - 1)
 

@@ -18,7 +18,7 @@ from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.observe.collapse import CollapseTime, predict_collapse
 from imr_torch.observe.distortion import EXPOSURE_BLUR, Distortion
 from imr_torch.observe.noise import Noise, previous
-from imr_torch.observe.nuisance import Nuisance, displaced, impossible
+from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced, impossible
 from imr_torch.simulate import EARLIEST, Simulator, check_designs
 
 _EARLIEST_FILMED = -0.4  # an exposure reaches on from its frame, and so does a clock that is wrong
@@ -121,10 +121,12 @@ class Film:
     Args:
         designs: (We, R_inf*).
         times: frame times, dimensionless, increasing.
+        nuisance_sds: prior standard deviations of each design's nuisances, columns as in ``NUISANCES``; known exactly when not
+            given.
 
     Raises:
         InputDataError: for a design that no bubble has.
-        ShapeError: if designs and times do not fit.
+        ShapeError: if designs, times and nuisances do not fit.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -138,13 +140,23 @@ class Film:
 
     designs: Float[Tensor, "experiments 2"]
     times: Float[Tensor, "experiments frames"]
+    nuisance_sds: Float[Tensor, "experiments 3"] = None  # type: ignore[assignment]  # zeros
 
     def __post_init__(self) -> None:
-        if self.times.ndim != 2 or self.designs.shape != (len(self.times), 2):
+        if self.nuisance_sds is None:
+            object.__setattr__(self, "nuisance_sds", self.times.new_zeros(len(self.times), len(NUISANCES)))
+        count = len(self.times)
+        shapes = [tuple(x.shape) for x in (self.designs, self.times, self.nuisance_sds)]
+        if self.times.ndim != 2 or shapes[0] != (count, 2) or shapes[2] != (count, len(NUISANCES)):
             raise ShapeError(
-                f"Film: expected designs E x 2 and times E x T, got {tuple(self.designs.shape)} and {tuple(self.times.shape)}."
+                f"Film: expected designs E x 2, times E x T, nuisance_sds E x 3; got {shapes[0]}, {shapes[1]} and {shapes[2]}."
             )
         check_designs(self.designs)
+
+    @property
+    def mask(self) -> Bool[Tensor, "experiments frames"]:
+        """Frames that exist: all."""
+        return torch.ones_like(self.times, dtype=torch.bool)
 
 
 @dataclass(frozen=True)

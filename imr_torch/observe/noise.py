@@ -18,7 +18,8 @@ _CORRELATION_TIMES = (0.0, 0.02, 0.04, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.
 FEWEST_RESIDUALS = 10
 """Degrees of freedom that residuals must have for the noise to be estimated from them."""
 
-_TIE = 1e-6  # nats; a law without slope and drift has the same likelihood at every floor
+TIE = 1e-6
+"""Nats below which two laws are equally likely: one without slope and drift has the same likelihood at every floor."""
 _FLOORS = (1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 16.0, 25.0, 40.0, 60.0, 100.0)  # times the floor of the law, at its scale
 
 
@@ -170,7 +171,7 @@ def fit_noise(
                     log_sd -= float(own.log().sum())
                 square += float(whitened.square().sum())
             cost = 0.5 * frames * math.log(square) + log_sd
-            if best is None or cost < best[0] - _TIE:
+            if best is None or cost < best[0] - TIE:
                 best = cost, replace(law, scale=math.sqrt(square / free))
     assert best is not None
     return best[1]

@@ -366,7 +366,7 @@ def test_that_planned_designs_need_no_data():
     assert torch.equal(
         predict(PolytropicSimulator(), gel, Film(designs, times)), predict(PolytropicSimulator(), gel, ExperimentBatch(shots))
     )
-    with pytest.raises(ShapeError, match=r"expected designs E x 2 and times E x T, got \(2, 2\) and \(1, 5\)"):
+    with pytest.raises(ShapeError, match=r"expected designs E x 2, times E x T, nuisance_sds E x 3; got \(2, 2\), \(1, 5\)"):
         Film(designs, times[:1])
     with pytest.raises(InputDataError, match="R_inf"):
         Film(torch.tensor([[400.0, 1.2]]).double(), times[:1])

@@ -307,7 +307,7 @@ def _hash(registry: Registry) -> str:
     digest = hashlib.sha256()
     for version in (sys.version, numba.__version__, llvmlite.__version__, np.__version__):
         digest.update(version.encode())
-    for file in (elementary.__file__, vectors.__file__, lanes.__file__):  # how functions are compiled
+    for file in (__file__, elementary.__file__, vectors.__file__, lanes.__file__):  # how functions are compiled
         digest.update(Path(file).read_bytes())
     for function in (transport.solve_block, polytropic.solve_block, *registry.laws()):
         for part in elementary.code_of(function):

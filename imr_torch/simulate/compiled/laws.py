@@ -61,7 +61,7 @@ def vapour(compression: Any, effects: Any, theta: Any) -> Any:
 
 
 def far_field(time: Any, effects: Any, theta: Any) -> tuple:
-    """Pressure of effects afar and its first two derivatives."""
+    """What effects add to the far-field pressure, and its first two derivatives."""
     raise NotImplementedError
 
 

@@ -164,7 +164,7 @@ def _solve(
 def _acting(switches: np.ndarray, known: Sequence[Any], chosen: Sequence[Any], width: int) -> np.ndarray:
     """Which of the engine's terms or effects act in each bundle, ``bundles x known``; what is not zero is switched on."""
     acts = (switches != 0.0) & np.array([x in chosen for x in known], dtype=bool)
-    return np.ascontiguousarray(acts.reshape(-1, width, len(known)).any(1))
+    return np.ascontiguousarray(acts.reshape(len(acts) // width, width, len(known)).any(1))
 
 
 def _shared(bubbles: Bubbles, registry: Registry) -> tuple[Any, ...]:

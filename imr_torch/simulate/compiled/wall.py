@@ -73,7 +73,7 @@ def member_of(numbers, theta, terms, effects):
 
 
 def far_field(time, member, setup):
-    """Pressure afar and its first two time derivatives."""
+    """Far-field pressure and its first two time derivatives."""
     value, rate, bend = member.b.far, 0.0, 0.0
     if setup.drive >= 0:
         seconds = member.b.seconds
