@@ -20,16 +20,14 @@ from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
 from imr_torch.material import Belief, Effect, ModelBelief
 from imr_torch.material.belief import beside
 from imr_torch.observe import ExperimentBatch
-from imr_torch.random import child, generator
-from imr_torch.simulate import PolytropicSimulator, Simulator, coarser
+from imr_torch.random import child
+from imr_torch.simulate import Simulator, coarser
 from imr_torch.types import Progress
 
 EXPLAINS = 3.0
 """Nats that an effect must explain to count as more than nothing."""
 
-_ROUGH = SearchOptions(gradient=1e-2, starts=2)
 _MANY = 6  # starts where fewer disagree
-_APART = 0.3  # prior standard deviations between the starts of the null fit
 _ROUGHLY = 0.03  # gradient at which a fit by coarse bubbles ends
 _TOO_COARSE = 200.0  # nats of error of the cost beyond which coarse bubbles lead nowhere
 
@@ -88,22 +86,18 @@ def fit_null(
 ) -> ModelFit:
     """The base model with nuisances, from several starts, with its certificate, which the caller must check.
 
-    Where there are repeats the search begins with polytropic bubbles, which are far cheaper; the simulator's own fits start
-    from their best and from perturbed copies of it. Where these do not converge, the search starts from prior draws, as for
-    single curves, which leave Rmax and time zero so uncertain that a fit may place a collapse between the wrong frames.
     A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals, is taken up again; where
     converged starts disagree, more of them are made.
     """
-    enough = SearchOptions().gradient
-    fit = _search_null(base, batch, simulator, seed=seed, progress=progress)
-    if fit.certificate.gradient >= enough:
+    belief, options = Belief((base,), torch.zeros(1, dtype=torch.float64)), SearchOptions()
+    search = partial(assimilate, belief, batch, simulator, warn=False, progress=progress)
+    fit = search(seed=seed, options=options).fits[0]
+    if fit.certificate.gradient >= options.gradient:
         fit = finish(fit, batch, simulator, seed=child(seed, "finish"), progress=progress)
-    if fit.certificate.converged or fit.certificate.gradient >= enough:
+    if fit.certificate.converged or fit.certificate.gradient >= options.gradient:
         return fit
-    belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
-    many, own = SearchOptions(starts=_MANY), child(seed, "again")
-    again = assimilate(belief, batch, simulator, seed=own, options=many, warn=False, progress=progress).fits[0]
-    return _lower(fit, again, many)
+    many = SearchOptions(starts=_MANY)
+    return _lower(fit, search(seed=child(seed, "again"), options=many).fits[0], many)
 
 
 def _lower(one: ModelFit, other: ModelFit, options: SearchOptions) -> ModelFit:
@@ -116,26 +110,6 @@ def _certified(fit: ModelFit, agreement: float, options: SearchOptions) -> Model
     """A fit with a certificate that counts agreement with other starts than its own, nats."""
     converged = fit.certificate.gradient < options.gradient and agreement < options.agreement
     return replace(fit, certificate=replace(fit.certificate, agreement=agreement, converged=converged))
-
-
-def _search_null(
-    base: ModelBelief, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None
-) -> ModelFit:
-    """The best fit of the starts, converged or not."""
-    belief = Belief((base,), torch.zeros(1, dtype=torch.float64))
-    search = partial(assimilate, belief, batch, simulator, seed=seed, warn=False, progress=progress)
-    scouted = SearchOptions()
-    if isinstance(getattr(simulator, "simulator", simulator), PolytropicSimulator) or int(batch.counts.max()) == 1:
-        return search(options=scouted).fits[0]
-    cheap = PolytropicSimulator(simulator.conditions)
-    rough = assimilate(belief, batch, cheap, seed=seed, options=_ROUGH, warn=False).fits[0]
-    spread = _APART * torch.randn(2, len(rough.mean), generator=generator(child(seed, "null")), dtype=torch.float64)
-    starts = torch.cat((rough.mean[None], rough.mean + spread))
-    options = SearchOptions(mask_collapses=True)  # the polytropic collapse may be on another side of a frame
-    fit = _descend(belief, batch, simulator, seed=seed, options=options, starts=[starts], progress=progress)[0]
-    if fit.certificate.converged:
-        return fit
-    return min(fit, search(options=scouted).fits[0], key=lambda found: found.cost)
 
 
 def fit_hypotheses(

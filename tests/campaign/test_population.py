@@ -89,10 +89,12 @@ def test_that_the_gain_falls_and_is_below_that_of_a_shot_without_error(five: Pat
 
 def test_that_a_campaign_that_was_killed_goes_on_with_the_same_bits(five: Path, tmp_path: Path) -> None:
     whole = Journal(five).events
-    for count in (3, 6, 8):  # after shots were told and not learnt, learnt, and asked for
+    for count, shots in ((3, 2), (6, 3), (8, 3)):  # after shots were told and not learnt, learnt, and asked for
         folder = cut(five, tmp_path / str(count), count, torn=0.5)
-        campaign(folder).run(shoot, 5)
-        assert Journal(folder).events == whole
+        campaign(folder).run(shoot, shots)
+        events = Journal(folder).events
+        assert events == whole[: len(events)]
+        assert len(events) > count
 
 
 def test_that_two_shots_can_be_asked_for_at_once(five: Path, tmp_path: Path) -> None:
