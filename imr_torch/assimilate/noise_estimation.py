@@ -1,11 +1,13 @@
 """Assimilation of measured curves with their noise law estimated from the residuals.
 
 All models are fitted with the noise law as given; the most probable law is found about the best model; all models are fitted
-again with that law. A model that misses the data thus gets a larger noise and wider intervals. Only the residuals and
+again with that law. A model that misses the data thus gets a larger noise and wider intervals; where the caller can tell that
+it does, its frames are taken as independent (:func:`imr_torch.assimilate.noise_posterior.misfit_law`). Only the residuals and
 sensitivities of the earlier fits are used, so these end within a tenth of a nat of a minimum. What the uncertainty of the law
 means for gel and evidence is left to :func:`imr_torch.assimilate.weigh`.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -13,7 +15,7 @@ import torch
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, ModelFit
 from imr_torch.assimilate.map_fit import assimilate
-from imr_torch.assimilate.noise_posterior import NoisePrior, most_probable_law
+from imr_torch.assimilate.noise_posterior import NoisePrior, misfit_law, most_probable_law
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import InputDataError
@@ -42,6 +44,7 @@ def assimilate_estimating_noise(
     seed: int,
     options: FitOptions | None = None,
     near: Assimilation | None = None,
+    explains: Callable[[ModelFit, ExperimentBatch], bool] | None = None,
     warn: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:
@@ -55,6 +58,7 @@ def assimilate_estimating_noise(
         seed: of starts and ensembles.
         options: the method and its settings, :func:`assimilate` by default; tolerances are those of the last fits.
         near: fits of the same belief and experiments, with other noise or frames, to start from.
+        explains: whether a fit explains the curves; all do when not given.
         warn: as for :func:`assimilate`, of the last fits.
         progress: called with one line per iteration.
 
@@ -93,7 +97,7 @@ def assimilate_estimating_noise(
 
     result = fit(batch, 0, near)
     for number in range(1, rounds + 1):
-        batch = ExperimentBatch(with_scatter(result), estimated_noise(result, law, simulator))
+        batch = ExperimentBatch(with_scatter(result), estimated_noise(result, law, simulator, explains))
         if progress:
             progress(f"noise {batch.noise}")
         result = fit(batch, number, result)
@@ -105,15 +109,21 @@ def _coarse(options: SearchOptions) -> SearchOptions:
     return replace(options, gradient=max(_GRADIENT, options.gradient), agreement=max(_AGREEMENT, options.agreement))
 
 
-def estimated_noise(result: Assimilation, law: Noise, simulator: Simulator) -> Noise:
+def estimated_noise(
+    result: Assimilation,
+    law: Noise,
+    simulator: Simulator,
+    explains: Callable[[ModelFit, ExperimentBatch], bool] | None = None,
+) -> Noise:
     """Noise of one curve: the most probable law about the model of lowest cost (:func:`most_probable_law`).
 
-    The law as it was, where the fit left fewer than ten degrees of freedom.
+    The law as it was, where the fit left fewer than ten degrees of freedom; that of a misfit, where the model misses the data.
 
     Args:
         result: the fits.
         law: to begin with; slope and drift keep their proportion, and the floor is that of the law or more.
         simulator: makes the bubbles.
+        explains: whether a fit explains the curves; all do when not given.
     """
     best, batch = min(result.fits, key=lambda fit: fit.cost), result.batch
     if not bool((~batch.collapse).any()):
@@ -121,8 +131,8 @@ def estimated_noise(result: Assimilation, law: Noise, simulator: Simulator) -> N
     best, batch = best.of_curves(batch)
     if not determines_noise(best, batch):
         return law
-    near = Posterior(best.prior, batch, simulator).neighbourhood(best.point)
-    return most_probable_law(near, NoisePrior(law))
+    near, prior = Posterior(best.prior, batch, simulator).neighbourhood(best.point), NoisePrior(law)
+    return most_probable_law(near, prior) if explains is None or explains(best, batch) else misfit_law(near, prior)
 
 
 def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:

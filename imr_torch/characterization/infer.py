@@ -244,10 +244,12 @@ class _Method:
             seed=child(seed, "fit"),
             options=self.options,
             near=near,
+            explains=lambda fit, batch: self.tested(fit, batch, child(seed, "explains")).explained is not False,
             progress=self.progress,
         )
         best = min(fits.fits, key=lambda fit: fit.cost)
-        uncertain = NoisePrior(self.noise) if self.integrate_noise and determines_noise(best, fits.batch) else None
+        estimated = self.integrate_noise and fits.batch.noise.widened == 1.0 and determines_noise(best, fits.batch)
+        uncertain = NoisePrior(self.noise) if estimated else None
         weighed = weigh(
             fits,
             self.simulator,
@@ -259,6 +261,10 @@ class _Method:
         )
         evidence = evidences(weighed)
         return _Found(weighed, evidence, update(weighed, evidence))
+
+    def tested(self, fit: ModelFit, batch: ExperimentBatch, seed: int) -> FitTest:
+        """Whether a fit explains the curves."""
+        return check_fit(*fit.of_curves(batch), self.simulator, seed=seed)
 
     def bad_frames(self, found: _Found) -> BadFrames:
         """Single frames that look bad under the most probable model."""
@@ -291,7 +297,7 @@ def _fit_test(method: _Method, found: _Found, seed: int) -> FitTest:
     """Whether the most probable model explains the curves."""
     if method.progress:
         method.progress("fit test: does the model explain the curves?")
-    return check_fit(*found.best.of_curves(found.assimilation.batch), method.simulator, seed=seed)
+    return method.tested(found.best, found.assimilation.batch, seed)
 
 
 def _population(method: _Method, found: _Found, experiments: tuple[Experiment, ...], scale: float, seed: int) -> Population:

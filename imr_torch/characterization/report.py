@@ -107,6 +107,11 @@ def _noise_lines(result: "Characterization") -> list[str]:
         parts = (("scale", "multiple"), ("constant", "constant part (R*)"), ("correlation_time", "correlation time (t*)"))
         values = ", ".join(f"{words} {found[name][0]:.3g} to {found[name][2]:.3g}" for name, words in parts)
         lines.append(f"  integrated over, 90 %: {values}")
+    if result.noise.widened > 1.0:
+        lines.append(
+            "  The model misses the curves, so its residuals are no noise: frames are taken as independent, which makes the "
+            "fit pass through the curves, and intervals are widened for what the residuals have in common."
+        )
     lines += [f"  {edge}" for edge in result.noise_edges]
     if result.left_out:
         lines += ["Left out of the fit as bad frames:", *(f"  {frame}" for frame in result.left_out)]

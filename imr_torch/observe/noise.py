@@ -33,6 +33,7 @@ class Noise:
         slope: part in proportion to ``|R* - 1|``.
         drift: part in proportion to ``t*``.
         correlation_time: e-folding time of an exponential correlation within a curve, in t*; 0 for independent frames.
+        widened: factor, part of ``scale``, by which the noise was enlarged since a model misses the curves; 1 where none does.
 
     >>> import torch
     >>> from imr_torch.observe import Noise
@@ -47,6 +48,7 @@ class Noise:
     slope: float = 1.0 / 50.0
     drift: float = 1.0 / 160.0
     correlation_time: float = 0.0
+    widened: float = 1.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -58,7 +60,9 @@ class Noise:
         correlated = (
             f"correlated over {self.correlation_time:.3g} in t*" if self.correlation_time else "independent between frames"
         )
-        return f"{self.scale:.2f} x the published law with {self.scale * self.floor:.4f} in R* everywhere, {correlated}"
+        own = self.scale / self.widened
+        law = f"{own:.2f} x the published law with {own * self.floor:.4f} in R* everywhere, {correlated}"
+        return law if self.widened == 1.0 else f"{law}, counted {self.widened:.1f} times as large"
 
     def sd(self, radius: Float[Tensor, "*#batch"], times: Float[Tensor, "*#batch"]) -> Float[Tensor, "*#batch"]:
         """Standard deviation of one frame; arguments dimensionless and broadcastable."""

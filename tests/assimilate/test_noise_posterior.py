@@ -16,8 +16,9 @@ from imr_torch.assimilate import (
     noise_edges,
     weigh,
 )
-from imr_torch.assimilate.noise_posterior import marginal, most_probable_law
+from imr_torch.assimilate.noise_posterior import marginal, misfit_law, most_probable_law
 from imr_torch.errors import InputDataError
+from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
 from imr_torch.select import cross_validate
 from tests.linear import CORRELATED, NOISE, LinearSimulator, exact, experiments, prior, tensor
@@ -177,3 +178,56 @@ def test_that_an_estimate_at_an_end_of_its_range_is_said_and_others_are_not() ->
 def test_that_an_impossible_prior_is_refused(change: dict[str, float], text: str) -> None:
     with pytest.raises(InputDataError, match=text):
         NoisePrior(**change)
+
+
+class Slow(LinearSimulator):
+    """What parameters add changes as slowly as the residuals of a misfit drift."""
+
+    def _columns(self, frames: int, weber: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
+        k, j = torch.arange(frames, dtype=torch.float64)[:, None], which.double()
+        units = tensor(*[self.units.get(name, 1.0) for name in PARAMETERS.names])[which]
+        return 0.1 * torch.cos((0.05 + 0.04 * j) * k + j) / units
+
+
+def drifting(seed: int) -> tuple[ExperimentBatch, torch.Tensor]:
+    """Four curves of a gel of the prior, with residuals that drift; their law states no correlation."""
+    source = torch.Generator().manual_seed(seed)
+    gel = torch.randn(2, generator=source, dtype=torch.float64)
+    times = torch.linspace(0.05, 2.5, 40, dtype=torch.float64)
+    clean = Slow()(PART.to_si(gel), tensor(400.0, 0.2), times).radius
+    seen = replace(NOISE, correlation_time=0.4).draw(clean, times, 4, generator=source)
+    shots = tuple(Experiment(f"{number}", (400.0, 0.2), times, curve[None]) for number, curve in enumerate(seen))
+    return ExperimentBatch(shots, NOISE), gel
+
+
+def test_that_the_law_of_a_misfit_fits_by_independent_frames_and_states_intervals_that_hold() -> None:
+    """Intervals of independent frames are far too narrow for residuals that drift, and widened ones hold."""
+    inside: dict[str, list[bool]] = {"independent": [], "widened": []}
+    for seed in range(60):
+        batch, gel = drifting(seed)
+        fit = assimilate(PRIOR, batch, Slow(), seed=0, options=OPTIONS)["nhkv"]
+        law = misfit_law(near := Posterior(PART, batch, Slow()).neighbourhood(fit.point), LAWS)
+        alike = most_probable_law(near, LAWS, independent=True)
+        assert law == replace(alike, scale=law.widened * alike.scale, widened=law.widened)
+        for kind, scale in (("independent", law.scale / law.widened), ("widened", law.scale)):
+            found = exact(PART, replace(batch, noise=replace(law, scale=scale)), Slow())
+            inside[kind] += ((gel - found.mean).abs() < 1.645 * found.covariance.diagonal().sqrt()).tolist()
+    covered = {kind: sum(rows) / len(rows) for kind, rows in inside.items()}
+    assert covered["independent"] < 0.75
+    assert 0.8 < covered["widened"] < 0.97
+
+
+def test_that_the_noise_of_a_model_that_misses_the_curves_is_that_of_a_misfit_and_else_that_of_the_camera() -> None:
+    batch, _ = drifting(7)
+
+    def noise(explained: bool) -> Noise:
+        explains = lambda fit, own: explained  # noqa: E731
+        options = {"rounds": 1, "seed": 0, "options": OPTIONS, "warn": False}
+        return assimilate_estimating_noise(PRIOR, batch, Slow(), explains=explains, **options).batch.noise
+
+    missed, held = noise(False), noise(True)
+    assert (missed.correlation_time, held.widened) == (0.0, 1.0)
+    assert missed.widened > 1.5
+    assert held.correlation_time > 0.1
+    assert "times as large" in str(missed)
+    assert "times as large" not in str(held)
