@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from scipy.optimize import curve_fit
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
@@ -30,6 +31,9 @@ MIN_RINGING_SD = 0.10
 MIN_PARTIAL_SD = 0.30
 MIN_STATED_SD = 0.01
 EDGE_SD = 0.01
+START_WINDOWS = (0.8, 0.9)
+START_FRAMES = 8
+START_REACH = 2.0
 EXPOSURE = 0.2
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
 
@@ -43,8 +47,8 @@ class Landmarks:
         max_radius_sd_m: its standard deviation.
         time_of_max_s: its time in s, with ``time_of_max_sd_s``.
         time_of_max_sd_s: its standard deviation.
-        max_method: "peak fit", "as given" (the laboratory's value; the record starts after the peak), "edge" (the
-            largest frame), or "as stated" (:class:`imr_torch.observe.Override`).
+        max_method: "peak fit", "as given" (the laboratory's value; the record starts after the peak), "one-sided
+            fit" (the record begins near it), "edge" (the largest frame), or "as stated" (:class:`imr_torch.observe.Override`).
         rest_radius_m: equilibrium radius in m, or None.
         rest_radius_sd_m: its standard deviation, or None.
         rest_settled: whether the bubble has come to rest within the record (a quiet tail, at least half a cycle long).
@@ -248,9 +252,45 @@ def _found_peak(trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise:
         at = float(time[k]) if given.time_of_max_s is None else given.time_of_max_s
         sd = max(noise, abs(stated - top)) if given.max_radius_sd_m is None else given.max_radius_sd_m
         return _Extreme(at, stated, spacing / 2.0, sd), "as given"
+    from_start = _fit_start(time, radius, k, noise)
+    if from_start is not None:
+        return from_start, "one-sided fit"
     drop = top - float(radius[k - 1 if k == len(radius) - 1 else k + 1])
     missed = found.value - top if found is not None else min(drop, MIN_RINGING_SD * top)
     return _Extreme(float(time[k]), top, spacing, max(noise, EDGE_SD * top, missed)), "edge"
+
+
+def _fit_start(time: np.ndarray, radius: np.ndarray, k: int, noise: float) -> _Extreme | None:
+    """Maximum of a record that begins near it, by the frames after it; None if they are few or put it well before the record.
+
+    The largest of such frames is late, since noise decides between frames about a flat maximum. Of an empty cavity under a
+    constant pressure ``R = Rmax (1 - a s^2 - 2/3 a^2 s^4 + O(s^6))`` at ``s`` from the maximum (Rayleigh, Phil. Mag. 34, 1917,
+    expanded), which is even and has three parameters. What another window changes is added to the standard deviations.
+    """
+    top, spacing = float(radius[k]), float(np.diff(time)[max(k - 1, 0) : k + 1].max())
+    fits = []
+    for level in START_WINDOWS:
+        below = np.flatnonzero(radius < level * top)
+        stop = int(below[0]) if len(below) else 0
+        if stop <= k or stop < START_FRAMES:
+            return None
+        x, y = (time[:stop] - time[0]) / spacing, radius[:stop] / top
+        guess, error = (1.0, (1.0 - level) / x[-1] ** 2, 0.0), np.full(stop, noise / top)
+        try:
+            best, covariance = curve_fit(_near_maximum, x, y, guess, error, absolute_sigma=True)
+        except RuntimeError:  # no minimum was found
+            return None
+        fits.append((best, np.sqrt(covariance.diagonal())))
+    (found, sd), (other, _) = fits
+    if not -START_REACH <= found[2] <= (time[k] - time[0]) / spacing + 1.0 or sd[2] > START_REACH:
+        return None
+    value_sd, time_sd = math.hypot(sd[0], other[0] - found[0]), math.hypot(sd[2], other[2] - found[2])
+    return _Extreme(float(time[0] + spacing * found[2]), top * float(found[0]), spacing * time_sd, max(noise, top * value_sd))
+
+
+def _near_maximum(time: np.ndarray, top: float, bend: float, at: float) -> np.ndarray:
+    square = bend * (time - at) ** 2
+    return top * (1.0 - square - 2.0 / 3.0 * square**2)
 
 
 def _fit_peak(time: np.ndarray, radius: np.ndarray, k: int, noise: float) -> _Extreme | None:

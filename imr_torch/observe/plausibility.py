@@ -70,9 +70,10 @@ def check_experiment(experiment: Experiment, where: str, *, remedy: str = "") ->
     """
     advice = f" Check the units of radius and time{', ' + remedy if remedy else ''}."
     times, radius = experiment.times, torch.nanmean(experiment.radius, 0)
-    largest, at = float(radius.max()), float(times[int(radius.argmax())])
+    largest, frame = float(radius.max()), int(radius.argmax())
+    at = float(times[frame])
     first, last = collapse_time(times, radius, 1), float(times[-1])
-    if at > _LATEST_MAXIMUM:
+    if frame and at > _LATEST_MAXIMUM:
         raise InputDataError(
             f"{where}: the largest frame is at t* = {at:.2f}; expected time zero at the maximum radius, within "
             f"{_LATEST_MAXIMUM}.{advice}"

@@ -9,9 +9,12 @@ import pytest
 import torch
 
 from imr_torch.errors import InputDataError
+from imr_torch.material import PARAMETERS
 from imr_torch.observe.landmarks import Landmarks, find_landmarks, phase_name
 from imr_torch.observe.load import load_traces
 from imr_torch.observe.traces import Given, RadiusTrace
+from imr_torch.simulate import PolytropicSimulator
+from imr_torch.units import Surroundings
 
 TOP, REST, TAU, PERIOD = 2e-4, 1.1e-4, 4e-5, 2.5e-5
 OMEGA = 2 * math.pi / PERIOD
@@ -145,6 +148,30 @@ def test_that_a_record_without_growth_uses_the_given_maximum_else_the_first_fram
     found = find_landmarks(trace(time, radius))
     assert (found.max_radius_m, found.time_of_max_s, found.max_method) == (radius[0], time[0], "edge")
     assert found.max_radius_sd_m >= 0.01 * radius[0] * (1 - 1e-12)
+
+
+def test_that_a_record_that_begins_at_its_maximum_gives_it_by_the_frames_after_it_without_bias() -> None:
+    """The largest of noisy frames about a flat maximum is late; the fit is not, and its errors are as stated."""
+    late, times, values = [], [], []
+    simulator, source = PolytropicSimulator(), torch.Generator().manual_seed(0)
+    scale = Surroundings().time_scale(3e-4)
+    for number in range(100):
+        first = 0.3 * (number % 10) / 10.0 * 1e-6
+        seconds = first + 1e-6 * torch.arange(90, dtype=torch.float64)
+        design = torch.tensor([Surroundings().weber(3e-4), 0.15 + 0.01 * (number % 7)], dtype=torch.float64)
+        clean = simulator(PARAMETERS.pack({"G": 3e3 + 200.0 * (number % 9), "mu": 0.06}), design, seconds / scale).radius
+        seen = 3e-4 * (clean + 0.003 * torch.randn(90, generator=source, dtype=torch.float64))
+        found = find_landmarks(RadiusTrace("shot", seconds, seen, "test"))
+        assert found.max_method == "one-sided fit"
+        late.append(float(seconds[int(seen.argmax())]))
+        times.append((found.time_of_max_s, found.time_of_max_sd_s))
+        values.append((found.max_radius_m - 3e-4, found.max_radius_sd_m))
+    for rows in (times, values):
+        error, sd = torch.tensor(rows, dtype=torch.float64).unbind(1)
+        assert abs(float((error / sd).mean())) < 0.6
+        assert 0.5 < float((error / sd).square().mean().sqrt()) < 1.3
+    at = torch.tensor(times, dtype=torch.float64)[:, 0]
+    assert abs(float(at.mean())) < 0.4 * float(torch.tensor(late).mean())
 
 
 def test_that_the_given_maximum_is_not_used_where_frames_bracket_the_peak() -> None:
