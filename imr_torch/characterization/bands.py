@@ -69,7 +69,7 @@ def predictive_band(
     noise = torch.special.ndtri((torch.arange(_NOISE_LEVELS, dtype=torch.float64) + 0.5) / _NOISE_LEVELS)
     laws = None if fit.sample is None else fit.sample.noise_laws(draws)
     if laws is None:
-        sd = batch.noise.sd(prediction, times)
+        sd = batch.noise.of_frames.sd(prediction, times)
     else:  # each draw with a noise law of its own
         sd = torch.stack([law.sd(curves, times) for law, curves in zip(laws, prediction, strict=True)])
     levels = torch.tensor(LEVELS, dtype=prediction.dtype)

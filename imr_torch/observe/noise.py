@@ -64,6 +64,11 @@ class Noise:
         law = f"{own:.2f} x the published law with {own * self.floor:.4f} in R* everywhere, {correlated}"
         return law if self.widened == 1.0 else f"{law}, counted {self.widened:.1f} times as large"
 
+    @property
+    def of_frames(self) -> "Noise":
+        """The law by which single frames scatter about the model: without the enlargement, which is about intervals."""
+        return replace(self, scale=self.scale / self.widened, widened=1.0)
+
     def sd(self, radius: Float[Tensor, "*#batch"], times: Float[Tensor, "*#batch"]) -> Float[Tensor, "*#batch"]:
         """Standard deviation of one frame; arguments dimensionless and broadcastable."""
         law = self.slope * (radius - 1.0).abs() + self.drift * times.abs()

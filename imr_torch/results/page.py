@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 from imr_torch.assimilate import BadFrame, NoiseEdge
 from imr_torch.html import Block, Picture, Preformatted, Table, page
 from imr_torch.material import PARAMETERS, material
+from imr_torch.observe import Noise
 from imr_torch.results.collapse import collapse_rows
 from imr_torch.results.figures import draw_figures
 from imr_torch.results.named import NamedFigure
@@ -135,12 +136,9 @@ def _assumed(document: Mapping[str, Any], best: str) -> Table:
 
 def setting_rows(document: Mapping[str, Any], best: str) -> list[tuple[str, str]]:
     """What every fit assumes: bubble, noise, what is known of the model ``best``, medium, software."""
-    noise = document["noise"]
     rows = [("Bubble", _PHYSICS.get(document.get("physics", ""), "as the simulator that was given makes it"))]
     if document.get("curves") or not document.get("collapse_times"):
-        said = f"{noise['scale']:.2f} x the published law with {noise['scale'] * noise['floor']:.4f} in R* everywhere, "
-        said += f"correlated over {noise['correlation_time']:.3g} in t*" if noise["correlation_time"] else "independent frames"
-        rows += [("Noise", said), *_noise_rows(document)]
+        rows += [("Noise", str(Noise(**document["noise"]))), *_noise_rows(document)]
     known = next((part.get("known") for part in document["belief"]["models"] if part.get("model") == best), None)
     if known:
         rows.append(("Known before", ", ".join(f"{name} = {value:g} {PARAMETERS[name].unit}" for name, value in known.items())))

@@ -117,7 +117,7 @@ def test_that_a_line_can_be_moved_and_a_value_typed_and_both_taken_back(app: App
     assert set(stated) == {"Rinf_m", "Rinf_sd_m"}
     assert 5e-5 < stated["Rinf_m"] < 1.2e-4
     app.page.get_by_label("last fitted time (us)").fill("40")
-    app.sees(re.compile(r"38 of 67 frames are fitted"))
+    app.sees(re.compile(r"40 of 67 frames are fitted"))
     assert override(app)["window_end_s"] == pytest.approx(4e-5)
     app.page.get_by_role("button", name="As found").click()
     app.sees(re.compile(r"shot_1: Rmax .* \(as given\)"))
