@@ -2,7 +2,7 @@
 
 All models are fitted with the noise law as given; the most probable law is found about the best model; all models are fitted
 again with that law. A model that misses the data thus gets a larger noise and wider intervals; where the caller can tell that
-it does, its frames are taken as independent (:func:`imr_torch.assimilate.noise_posterior.misfit_law`). Only the residuals and
+it does, its frames are taken as independent (:func:`imr_torch.assimilate.misfit_noise.misfit_law`). Only the residuals and
 sensitivities of the earlier fits are used, so these end within a tenth of a nat of a minimum. What the uncertainty of the law
 means for gel and evidence is left to :func:`imr_torch.assimilate.weigh`.
 """
@@ -15,7 +15,8 @@ import torch
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, ModelFit
 from imr_torch.assimilate.map_fit import assimilate
-from imr_torch.assimilate.noise_posterior import NoisePrior, misfit_law, most_probable_law
+from imr_torch.assimilate.misfit_noise import misfit_law
+from imr_torch.assimilate.noise_posterior import NoisePrior, most_probable_law
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import InputDataError

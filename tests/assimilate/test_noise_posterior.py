@@ -16,7 +16,8 @@ from imr_torch.assimilate import (
     noise_edges,
     weigh,
 )
-from imr_torch.assimilate.noise_posterior import marginal, misfit_law, most_probable_law
+from imr_torch.assimilate.misfit_noise import misfit_law
+from imr_torch.assimilate.noise_posterior import marginal, most_probable_law
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
