@@ -72,10 +72,10 @@ print(blind.verdict, blind.cause, "-", blind.reason)
 # Single curves have no repeats to take the noise from; it is taken from how rough they are, and as correlated. On the command
 # line: `imr-torch diagnose example_gel.csv --html page.html`.
 #
-# The gel of this file was simulated without any effect, and no gap is found. A gap may come from the camera as well as from the
-# gel: these films begin 0.3 us after the maximum, where the radius changes less than the noise, so the largest frame comes 1 to
-# 3 us late in all four curves. Taken for time zero, it would be a gap, with `trigger_offset` as its cause; the maximum is fitted
-# to the frames after it instead.
+# The gel of this file was simulated without any effect, and no gap is found. A gap may come from the camera as well as from
+# the gel: these films begin 0.3 us after the maximum, where the radius changes less than the noise, so the largest frame comes
+# 1 to 3 us late in all four curves. Taken for time zero, it would be a gap, with `trigger_offset` as its cause; the maximum is
+# fitted to the frames after it instead.
 
 # %%
 physics = PolytropicSimulator() if SMOKE else TransportSimulator()
