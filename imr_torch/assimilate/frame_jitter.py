@@ -110,7 +110,8 @@ def find_frame_jitter(fit: ModelFit, batch: ExperimentBatch, simulator: Simulato
         simulator: makes the bubbles; five bubbles, and one for each parameter and nuisance of every experiment.
 
     Returns:
-        The jitter; untested, with the reason, where there are more than 2000 frames or a bubble fails.
+        The jitter; untested, with the reason, where there are more than 2000 frames, a bubble fails or frames would change
+        places.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -135,6 +136,9 @@ def find_frame_jitter(fit: ModelFit, batch: ExperimentBatch, simulator: Simulato
     free = frames - whole.slopes.shape[1] - int((batch.nuisance_sds > 0.0).sum())
     sd, evidence, by_time = (0.0, _STEP * interval, 0.0), 0.0, whole.pull
     for _ in range(_ROUNDS):
+        if not 0.0 < sd[1] < interval:  # frames would change places
+            reason = "the likeliest jitter is above a frame interval, which is no jitter: the model misses the curves."
+            return FrameJitter(fit.model, None, 0.0, interval, reason=reason)
         by_time = (_change(fit, batch, near.centre, simulator, sd[1]) / (sd[1] * batch.counts.sqrt()))[batch.mask]
         if not bool(torch.isfinite(near.prediction).all() & torch.isfinite(by_time).all()):
             reason = f"a bubble beside the fit of {fit.model} could not be simulated."

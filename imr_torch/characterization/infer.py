@@ -180,7 +180,8 @@ def characterize(
     )
     moved = medium_sensitivities(weighed[posterior.best.model], weighed.batch, simulator, medium)
     followed = profiles_of(weighed, posterior, simulator, seed=child(seed, "profile"), progress=progress) if profile else None
-    jitter = find_frame_jitter(*found.best.of_curves(weighed.batch), simulator) if check and len(traces) else None
+    explained = weighed.batch.noise.widened == 1.0  # a misfit cannot be told from jitter
+    jitter = find_frame_jitter(*found.best.of_curves(weighed.batch), simulator) if check and len(traces) and explained else None
     seconds = time.process_time() - started
     return Characterization(
         prepared,

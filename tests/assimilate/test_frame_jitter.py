@@ -97,3 +97,12 @@ def test_that_too_many_frames_are_said() -> None:
     times = torch.linspace(0.0, 3.0, 2001, dtype=torch.float64)
     batch = ExperimentBatch((replace(one, times=times, radius=torch.ones(1, 2001, dtype=torch.float64)),))
     assert "2001 frames" in str(find_frame_jitter(fitted(shot(0.0, 0)), batch, SIMULATOR))
+
+
+@pytest.mark.parametrize("likeliest", [3.0, math.nan])
+def test_that_jitter_by_which_frames_would_change_places_is_not_tested(monkeypatch, likeliest: float) -> None:
+    batch = shot(0.0, 0)
+    monkeypatch.setattr(_Jitter, "posterior", lambda self, interval: ((0.0, likeliest * interval, 4.0 * interval), 0.0))
+    found = find_frame_jitter(fitted(batch), batch, SIMULATOR)
+    assert found.sd is None
+    assert "no jitter: the model misses the curves" in found.reason

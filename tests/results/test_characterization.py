@@ -250,6 +250,7 @@ def test_that_curves_of_the_model_are_explained_and_those_of_an_unmodelled_effec
     tested = lossy["fit_test"]
     assert tested["explained"] is False
     assert (lossy["noise"]["widened"] > 1.0, lossy["noise"]["correlation_time"], lossy["noise_intervals"]) == (True, 0.0, None)
+    assert lossy["frame_jitter"] is None
     assert tested["p_value"] < 0.01
     assert re.search(
         r"explain the curves \(p [=<] .*, nhkv; strongest test: .*; largest residual .* sd in [abc], ", tested["sentence"]
