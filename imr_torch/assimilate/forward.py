@@ -112,7 +112,7 @@ class ForwardModel:
         return torch.where(self.batch.mask, prediction, 0.0)
 
     def bundle(
-        self, point: Point, scale: Float[Tensor, "*batch controls directions"] | None = None, *, leader: Point | None = None
+        self, point: Point, scale: Float[Tensor, "*#batch controls directions"] | None = None, *, leader: Point | None = None
     ) -> tuple[Float[Tensor, "*batch directions controls"], Float[Tensor, "*batch bundle experiments frames"]]:
         """Simulate points and the points beside them for finite differences, a bundle each.
 

@@ -60,7 +60,7 @@ class Posterior(ForwardModel):
         return likelihood - 0.5 * point.gel.square().sum(-1) - 0.5 * point.nuisances.square().sum((-2, -1))
 
     def neighbourhood(
-        self, point: Point, scale: Float[Tensor, "*batch controls directions"] | None = None, *, leader: Point | None = None
+        self, point: Point, scale: Float[Tensor, "*#batch controls directions"] | None = None, *, leader: Point | None = None
     ) -> "Neighbourhood":
         """Simulate points and the points beside them for finite differences, a bundle each.
 

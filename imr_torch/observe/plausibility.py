@@ -43,6 +43,7 @@ STATED_OVER_SEEN = Range((0.75, 1.35), (0.95, 1.1))
 _LONGEST_EXPOSURE = 1.05  # of the time between frames
 _LEAST_CHANGE = 0.01  # of the largest radius
 _LATEST_MAXIMUM = 0.45  # t* of the largest frame
+_FRAMES = 2.5  # by which the maximum may lie before the first frame of a record that begins near it
 _SHORTEST, _LONGEST = 0.1, 3.0  # t* that a record without a collapse may last
 _DENSE = 0.15  # t* between frames, within which no bubble falls by a quarter from its maximum
 
@@ -70,10 +71,9 @@ def check_experiment(experiment: Experiment, where: str, *, remedy: str = "") ->
     """
     advice = f" Check the units of radius and time{', ' + remedy if remedy else ''}."
     times, radius = experiment.times, torch.nanmean(experiment.radius, 0)
-    largest, frame = float(radius.max()), int(radius.argmax())
-    at = float(times[frame])
+    largest, at = float(radius.max()), float(times[int(radius.argmax())])
     first, last = collapse_time(times, radius, 1), float(times[-1])
-    if frame and at > _LATEST_MAXIMUM:
+    if at > max(_LATEST_MAXIMUM, _FRAMES * float(times.diff()[:1].sum())):
         raise InputDataError(
             f"{where}: the largest frame is at t* = {at:.2f}; expected time zero at the maximum radius, within "
             f"{_LATEST_MAXIMUM}.{advice}"
