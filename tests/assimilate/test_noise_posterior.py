@@ -222,9 +222,8 @@ def test_that_the_noise_of_a_model_that_misses_the_curves_is_that_of_a_misfit_an
     batch, _ = drifting(7)
 
     def noise(explained: bool) -> Noise:
-        explains = lambda fit, own: explained  # noqa: E731
         options = {"rounds": 1, "seed": 0, "options": OPTIONS, "warn": False}
-        return assimilate_estimating_noise(PRIOR, batch, Slow(), explains=explains, **options).batch.noise
+        return assimilate_estimating_noise(PRIOR, batch, Slow(), explains=lambda *_: explained, **options).batch.noise
 
     missed, held = noise(False), noise(True)
     assert (missed.correlation_time, held.widened) == (0.0, 1.0)
