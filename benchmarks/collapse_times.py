@@ -154,7 +154,7 @@ def judged(number: int, grid: Grid, args: argparse.Namespace) -> dict[str, Any]:
         shots=shots,
         prior=wide_prior(["nhkv"]),
         simulator=SIMULATOR,
-        options=SearchOptions(scouts=32, starts=2),
+        options=SearchOptions(raw_samples=32, starts=2),
         estimate_noise=args.scatter > 0.0,
         check=False,
         seed=number,

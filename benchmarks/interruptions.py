@@ -40,7 +40,7 @@ from imr_torch.files import write_json
 WATCHED = ("journal", ".journal", "experiment_", ".experiment_", "campaign.json", ".campaign.json")
 OPTIONS = shlex.split("--models nhkv --policy space-filling --repeats 1 --physics polytropic --threads 1 --quiet")
 GOALS = {"cause": shlex.split("--goal cause --effects sound_speed,surface_tension"), "population": ["--goal", "population"]}
-QUICK = SearchOptions(scouts=12, starts=2)
+QUICK = SearchOptions(raw_samples=12, starts=2)
 EXAMPLE = example_gel()
 
 

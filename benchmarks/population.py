@@ -44,7 +44,7 @@ UNCERTAIN = Nuisance(max_radius=0.005, time_zero=0.008, rest_radius=0.02)
 NOISE = Noise(scale=0.5)
 PRIOR = Belief.prior({"nhkv": {"G": LogNormal(8e3, 2.0), "mu": LogNormal(0.1, 2.0)}})["nhkv"]
 NAMES = PRIOR.names
-OPTIONS = SearchOptions(scouts=96, starts=2)
+OPTIONS = SearchOptions(raw_samples=96, starts=2)
 
 
 def simulated(number: int, seed: int, kind: str) -> tuple[dict[str, Any], list[Experiment]]:

@@ -287,12 +287,14 @@ def main() -> None:
     parser.add_argument("--scores", action="store_true", help="also hold curves out")
     parser.add_argument("--physics", choices=tuple(SIMULATORS), default="full")
     parser.add_argument("--starts", type=int, default=SearchOptions.starts, help="searches per model")
-    parser.add_argument("--scouts", type=int, default=SearchOptions.scouts, help="prior draws from which searches start")
+    parser.add_argument(
+        "--raw-samples", type=int, default=SearchOptions.raw_samples, help="prior draws from which searches start"
+    )
     parser.add_argument("--out", type=Path, default=Path("out/real_data"), help="folder of results and figures")
     args = parser.parse_args()
     torch.set_num_threads(1)
     path = args.out / f"rows-{args.physics}-{args.curves}{'-scores' if args.scores else ''}.jsonl"
-    options = SearchOptions(starts=args.starts, scouts=args.scouts, drop_behind=_DROP_BEHIND)
+    options = SearchOptions(starts=args.starts, raw_samples=args.raw_samples, drop_behind=_DROP_BEHIND)
     tasks = {f.stem: Task(f, args.curves, args.scores, args.out, options) for f in chosen_files(args.folder, args.sets)}
     rows = run_missing(tasks, path, SIMULATORS[args.physics](threads=1), line=_line)
     print("\n" + table(rows))

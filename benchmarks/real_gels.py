@@ -6,9 +6,9 @@
 FOLDER holds a CSV file a gel and a JSON file beside it. `run` appends a line a set and task, and passes over what has a line.
 Of each set at most `--max-curves` are taken (default 4), evenly spread over those that can be fitted and whose tail does not
 grow again. Curves that figures show go into a file of their own beside the record. The medium is stated (`SETS`); models with
-heat and vapour transport. Tasks: `characterize` (Newtonian, NHKV and generalised QKV), `diagnose` (the ladder on every second
-curve, at most four effects, and a gel of its own for each curve, judged on the other curves, which no fit saw) and `other
-half` (the other curves, for their first effect only). Two curves have two halves of one, one curve has none and its ladder is
+heat and vapour transport. Tasks: `characterize` (Newtonian, NHKV and generalised QKV), `diagnose` (effects selected stepwise on
+every second curve, at most four, and a gel of its own for each curve, judged on the other curves, which no fit saw) and `other
+half` (the other curves, for their first effect only). Two curves have two halves of one, one curve has none and its effects are
 judged in sample. `table` writes one page, with the controls (`real_gels_controls.py`) and a figure a set
 (`real_gels_page.py`).
 """
@@ -28,8 +28,8 @@ from imr_torch import characterize, load_traces
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.errors import ImrError
-from imr_torch.gap import Ladder, diagnose, library, noise_of_traces
-from imr_torch.gap.document import ladder_document
+from imr_torch.gap import StepwiseSelection, diagnose, library, noise_of_traces
+from imr_torch.gap.document import selection_document
 from imr_torch.gap.parts import closed_by
 from imr_torch.gap.scatter import gel_scatter
 from imr_torch.material import wide_prior
@@ -98,7 +98,7 @@ def characterized(file: Path, most: int, medium: str) -> dict[str, Any]:
 
 
 def diagnosed(file: Path, most: int, medium: str, *, other: bool) -> dict[str, Any]:
-    """Verdict and ladder of every second curve, judged on the others; of the ``other`` half its first effect only."""
+    """Verdict and selection of every second curve, judged on the others; of the ``other`` half its first effect only."""
     traces, rest = traces_of(file, most)
     simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
     stated = medium_of(traces, medium, simulator.conditions.surroundings)
@@ -127,7 +127,7 @@ def diagnosed(file: Path, most: int, medium: str, *, other: bool) -> dict[str, A
     }
     if not report.found:
         return row | {"converged": report.converged, "ladder": None, "shown": _shown(report.batch, {"none": report.null})}
-    ladder = closed_by(
+    selection = closed_by(
         report,
         simulator,
         unseen,
@@ -136,9 +136,9 @@ def diagnosed(file: Path, most: int, medium: str, *, other: bool) -> dict[str, A
         scatter=None if other else gel_scatter(report, simulator, seed=child(seed, "scatter")),
         progress=_progress,
     )[0]
-    fits = {rung.name: rung.fit for rung in (ladder.rungs[0], ladder.rungs[-1])}
-    own = ladder_document(Ladder(ladder.own_gels))
-    said = {"converged": report.converged, "ladder": ladder_document(ladder), "own_gels": own, "sentence": str(ladder)}
+    fits = {step.name: step.fit for step in (selection.steps[0], selection.steps[-1])}
+    own = selection_document(StepwiseSelection(selection.own_gels))
+    said = {"converged": report.converged, "ladder": selection_document(selection), "own_gels": own, "sentence": str(selection)}
     return row | said | {"shown": _shown(report.batch, fits)}
 
 

@@ -152,26 +152,26 @@ def _crosslinking(record: Record) -> Control:
     return Control(name, must, ", ".join(f"{mid:.3g} ({low:.3g}-{high:.3g})" for low, mid, high in found) + " kPa", rises)
 
 
-def ladders(record: Record) -> list[dict[str, Any]]:
+def selections(record: Record) -> list[dict[str, Any]]:
     """Lines of the first halves that have a gap."""
     return [row for (_, task), row in record.items() if task == "diagnose" and row.get("ladder")]
 
 
 def judged(record: Record) -> list[dict[str, Any]]:
-    """Those whose ladder has a rung that was judged on curves which no fit saw."""
-    return [row for row in ladders(record) if row["ladder"][-1]["closed"]]
+    """Those whose selection has a step that was judged on curves which no fit saw."""
+    return [row for row in selections(record) if row["ladder"][-1]["closed"]]
 
 
-def best_rung(row: dict[str, Any]) -> dict[str, Any]:
-    """The rung that the program reports: of those that close some of the gap on unseen curves, the best predictor there."""
+def best_step(row: dict[str, Any]) -> dict[str, Any]:
+    """The step that the program reports: of those that close some of the gap on unseen curves, the best predictor there."""
     every = [*row["ladder"], *row.get("own_gels", [])]
-    scores = [rung["log_score"][0] if rung["closed"] and rung["closed"][1] > 0.0 else 0.0 for rung in every]
+    scores = [step["log_score"][0] if step["closed"] and step["closed"][1] > 0.0 else 0.0 for step in every]
     return every[scores.index(max(scores))]
 
 
-def share(rung: dict[str, Any]) -> float:
-    """Median share of the gap that a rung closes on unseen curves; 0 for the base model."""
-    return rung["closed"][1] if rung["closed"] else 0.0
+def share(step: dict[str, Any]) -> float:
+    """Median share of the gap that a step closes on unseen curves; 0 for the base model."""
+    return step["closed"][1] if step["closed"] else 0.0
 
 
 def _closed(record: Record) -> Control:
@@ -179,17 +179,17 @@ def _closed(record: Record) -> Control:
     rows = judged(record)
     if not rows:
         return _open(name, must)
-    found = [share(best_rung(row)) for row in rows]
+    found = [share(best_step(row)) for row in rows]
     effects = [max(map(share, row["ladder"])) for row in rows]
     gels = [max(map(share, row["own_gels"])) for row in rows if row.get("own_gels")]
-    value = f"median {median(found):.2f} of {len(rows)} sets; by the best rung of effects alone {median(effects):.2f}"
+    value = f"median {median(found):.2f} of {len(rows)} sets; by the best step of effects alone {median(effects):.2f}"
     value += f", where each curve has a gel of its own {median(gels):.2f}" if gels else ""
     return Control(name, must, value, median(found) >= 0.8)
 
 
 def _residual(record: Record) -> Control:
-    name, must = "least misfit of a rung over its noise", "at most 2 in half of the sets"
-    ratios = [_ratio(row) for row in ladders(record)]
+    name, must = "least misfit of a step over its noise", "at most 2 in half of the sets"
+    ratios = [_ratio(row) for row in selections(record)]
     if not ratios:
         return _open(name, must)
     within = sum(ratio <= 2.0 for ratio in ratios)
@@ -198,15 +198,15 @@ def _residual(record: Record) -> Control:
 
 
 def _ratio(row: dict[str, Any]) -> float:
-    """Least misfit over noise of all rungs of effects."""
-    return min(rung["misfit"] / rung["noise"] for rung in row["ladder"])
+    """Least misfit over noise of all steps of effects."""
+    return min(step["misfit"] / step["noise"] for step in row["ladder"])
 
 
 def _certified(record: Record) -> Control:
-    name, must = "certificates of the rungs", "every rung"
-    rungs = [rung for row in ladders(record) for rung in (*row["ladder"], *row.get("own_gels", []))]
-    good = sum(rung["converged"] for rung in rungs)
-    return Control(name, must, f"{good} of {len(rungs)}", good == len(rungs)) if rungs else _open(name, must)
+    name, must = "certificates of the steps", "every step"
+    steps = [step for row in selections(record) for step in (*row["ladder"], *row.get("own_gels", []))]
+    good = sum(step["converged"] for step in steps)
+    return Control(name, must, f"{good} of {len(steps)}", good == len(steps)) if steps else _open(name, must)
 
 
 def _scores(record: Record) -> Control:
@@ -214,9 +214,9 @@ def _scores(record: Record) -> Control:
     rows = judged(record)
     if not rows:
         return _open(name, must)
-    ahead = sum(bool(best_rung(row)["effects"]) for row in rows)
+    ahead = sum(bool(best_step(row)["effects"]) for row in rows)
     last = sum(row["ladder"][-1]["log_score"][0] > 0.0 for row in rows)
-    value = f"{ahead} of {len(rows)}; of the last rung of effects in {last}"
+    value = f"{ahead} of {len(rows)}; of the last step of effects in {last}"
     return Control(name, must, value, ahead >= 0.9 * len(rows))
 
 
@@ -235,13 +235,13 @@ def _halves(record: Record) -> Control:
 
 
 def _first(row: dict[str, Any]) -> str | None:
-    """First effect of a ladder; None without one."""
+    """First effect of a stepwise selection; None without one."""
     return row["ladder"][1]["effects"][0] if row["ladder"] and len(row["ladder"]) > 1 else None
 
 
 def _time(record: Record) -> Control:
-    name, must = "processor time of two curves, a ladder of at most four effects, one thread", "120 s"
-    times = sorted(row["cpu"] for row in ladders(record) if len(row["curves"]) == 2)
+    name, must = "processor time of two curves, a stepwise selection of at most four effects, one thread", "120 s"
+    times = sorted(row["cpu"] for row in selections(record) if len(row["curves"]) == 2)
     if not times:
         return _open(name, must)
     late = times[math.ceil(0.9 * len(times)) - 1]

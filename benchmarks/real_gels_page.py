@@ -1,7 +1,7 @@
 """One readable page (Markdown) of a record of `real_gels.py`: controls, a table of all sets, and a figure a set.
 
-A figure shows the curves that were diagnosed with the base model and the last rung of the ladder, what both leave over the
-phase, R* and dR*/dt*, and the misfit of each rung beside the noise.
+A figure shows the curves that were diagnosed with the base model and the last step of the selection of effects, what both leave
+over the phase, R* and dR*/dt*, and the misfit of each step beside the noise.
 """
 
 from pathlib import Path
@@ -9,7 +9,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from real_gels_controls import Record, best_rung, controls, model
+from real_gels_controls import Record, best_step, controls, model
 
 
 def write_page(rows: list[dict[str, Any]], curves: dict[str, list[dict[str, Any]]], path: Path) -> None:
@@ -20,7 +20,7 @@ def write_page(rows: list[dict[str, Any]], curves: dict[str, list[dict[str, Any]
     lines = ["# Real gels", "", "## Controls", "", "| control | must | found | met |", "|---|---|---|---|"]
     word = {True: "yes", False: "no", None: "open"}
     lines += [f"| {c.name} | {c.must} | {c.value} | {word[c.met]} |" for c in controls(record)]
-    lines += ["", "## Sets", "", *_models(record, sets), "", *_ladders(record, sets), ""]
+    lines += ["", "## Sets", "", *_models(record, sets), "", *_selection(record, sets), ""]
     for name in sets:
         row = record.get((name, "diagnose"))
         lines += [f"### {name}", "", *_said(row, record.get((name, "other half")))]
@@ -70,8 +70,8 @@ def _interval(values: list[float]) -> str:
     return f"{middle:.3g} ({low:.3g}-{high:.3g})"
 
 
-def _ladders(record: Record, sets: list[str]) -> list[str]:
-    """Verdict and ladder of each set."""
+def _selection(record: Record, sets: list[str]) -> list[str]:
+    """Verdict and selection of each set."""
     lines = [
         "| set | verdict | effects, in order | misfit over noise, from and to | closed on unseen curves (90 %) "
         "| with a gel of its own for each curve | held-out score over the base, nats | reported "
@@ -97,7 +97,7 @@ def _ladders(record: Record, sets: list[str]) -> list[str]:
             "" if not last["closed"] else f"{last['closed'][1]:.2f} ({last['closed'][0]:.2f} to {last['closed'][2]:.2f})",
             "; ".join(f"{', '.join(own['effects'])} {_interval(own['closed'])}" for own in gels if own["closed"]),
             "" if not last["log_score"] else f"{last['log_score'][0]:.0f} +- {last['log_score'][1]:.0f}",
-            ", ".join(best_rung(row)["effects"]) or "none" if last["closed"] else "",
+            ", ".join(best_step(row)["effects"]) or "none" if last["closed"] else "",
             after,
             f"{sum(r['converged'] for r in row['ladder'])} of {len(row['ladder'])}",
             f"{row['cpu']:.0f}",
@@ -121,7 +121,7 @@ def _said(row: dict[str, Any] | None, other: dict[str, Any] | None) -> list[str]
 
 
 def _figure(row: dict[str, Any], curves: list[dict[str, Any]], path: Path) -> None:
-    """Curves, what is left over phase, R* and dR*/dt*, and the ladder."""
+    """Curves, what is left over phase, R* and dR*/dt*, and the selection."""
     figure, axes = plt.subplots(1, 5, figsize=(17.0, 3.1), layout="constrained")
     last = "none" if not row.get("ladder") else "+".join(row["ladder"][-1]["effects"]) or "none"
     for curve in curves:
@@ -134,18 +134,18 @@ def _figure(row: dict[str, Any], curves: list[dict[str, Any]], path: Path) -> No
             left = (seen - np.array(curve[name])) / sd
             for ax, values in zip(axes[1:4], (t, seen, speed), strict=True):
                 ax.plot(values, left, marker, ms=3, color=drawn.get_color(), alpha=0.35 if name == "none" else 0.9)
-    axes[0].set(xlabel="t*", ylabel="R*", title=f"{row['set']}: base thin, last rung thick")
+    axes[0].set(xlabel="t*", ylabel="R*", title=f"{row['set']}: base thin, last step thick")
     axes[0].set_xlim(0.0, 4.0)
     for ax, label in zip(axes[1:4], ("t*", "R*", "dR*/dt*"), strict=True):
         ax.axhspan(-2.0, 2.0, color="0.92")
         ax.set(xlabel=label, ylabel="residual (sd); x: base" if label == "t*" else "")
     axes[1].set_xlim(0.0, 4.0)
     axes[3].set_xlim(-4.0, 4.0)
-    rungs = row.get("ladder") or []
-    places = range(len(rungs))
-    axes[4].bar(places, [rung["misfit"] for rung in rungs], color="0.6")
-    axes[4].plot(places, [rung["noise"] for rung in rungs], "k_", ms=18)
-    axes[4].set_xticks(list(places), [", ".join(rung["effects"][-1:]) or "base" for rung in rungs], rotation=30, fontsize=7)
-    axes[4].set(title="misfit in R* by rung; dashes: noise")
+    steps = row.get("ladder") or []
+    places = range(len(steps))
+    axes[4].bar(places, [step["misfit"] for step in steps], color="0.6")
+    axes[4].plot(places, [step["noise"] for step in steps], "k_", ms=18)
+    axes[4].set_xticks(list(places), [", ".join(step["effects"][-1:]) or "base" for step in steps], rotation=30, fontsize=7)
+    axes[4].set(title="misfit in R* by step; dashes: noise")
     figure.savefig(path, dpi=70)
     plt.close(figure)

@@ -125,7 +125,7 @@ def main(folder: Path) -> None:
     traces = load_traces(file)
     print("file", len(traces[0]), round(1e6 * float(traces[0].radius_m.max())))
 
-    options = SearchOptions(scouts=48, starts=2)
+    options = SearchOptions(raw_samples=48, starts=2)
     found = characterize(traces, prior=wide_prior(("nhkv", "two_springs")), simulator=simulator, options=options)
     print("model", found.posterior.best.model, ",".join(found.posterior.best.names))
 

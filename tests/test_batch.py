@@ -31,7 +31,7 @@ OPTIONS = BatchOptions(
     PolytropicSimulator(threads=1),
     rest_radius=(0.2, 0.002),
     estimate_noise=False,
-    options=SearchOptions(scouts=16, starts=2),
+    options=SearchOptions(raw_samples=16, starts=2),
 )
 
 

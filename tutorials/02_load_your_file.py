@@ -77,7 +77,7 @@ except InputDataError as error:
 
 # %%
 prior = wide_prior(["nhkv"] if SMOKE else ["nhkv", "gen_qkv"])
-options = SearchOptions(scouts=32, starts=2) if SMOKE else None
+options = SearchOptions(raw_samples=32, starts=2) if SMOKE else None
 chosen = traces.select(["shot_1"]) if SMOKE else traces
 result = characterize(chosen, prior=prior, estimate_noise=not SMOKE, options=options)
 print(result.report())

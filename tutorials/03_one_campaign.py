@@ -43,7 +43,7 @@ simulator = PolytropicSimulator()
 laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=100)
 settings = CampaignSettings(plan=Plan(repeats=100))
 if SMOKE:
-    small = SearchOptions(scouts=32, starts=2)
+    small = SearchOptions(raw_samples=32, starts=2)
     settings = CampaignSettings(
         plan=Plan(repeats=100),
         policy=Optimal(Laplace(draws=4), evaluations=4, initial=3),

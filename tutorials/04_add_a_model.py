@@ -178,7 +178,7 @@ quick = PolytropicSimulator()
 laboratory = SimulatedLaboratory(quick, gels[1], repeats=100)
 batch = ExperimentBatch((laboratory.shoot(design, seed=1),), laboratory.noise)
 prior = wide_prior(["nhkv", "mooney"])
-options = SearchOptions(scouts=32, starts=2) if SMOKE else None
+options = SearchOptions(raw_samples=32, starts=2) if SMOKE else None
 result = weigh(assimilate(prior, batch, quick, seed=2, options=options), quick, seed=3)
 posterior = update(result, evidences(result))
 print({key: round(value, 4) for key, value in posterior.probabilities.items()})

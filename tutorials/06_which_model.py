@@ -39,7 +39,7 @@ batch = ExperimentBatch(tuple(laboratory.shoot(design, seed=i) for i, design in 
 
 # %%
 prior = wide_prior(("newtonian", "nhkv", "gen_qkv"))
-options = SearchOptions(scouts=24, starts=2) if SMOKE else SearchOptions()
+options = SearchOptions(raw_samples=24, starts=2) if SMOKE else SearchOptions()
 fits = weigh(assimilate(prior, batch, simulator, seed=0, options=options), simulator, seed=0, samples=64 if SMOKE else 256)
 for fit in fits.fits:
     print(f"{fit.prior.material.title}: RMSE {fits.rmse(fit.model):.4f} in R*\n  {fit.certificate}\n  {fit.trust}")

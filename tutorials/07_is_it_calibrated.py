@@ -33,7 +33,7 @@ OUT.mkdir(parents=True, exist_ok=True)
 
 # %%
 plan = Plan(times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64), repeats=5)
-options = SearchOptions(scouts=24, starts=2) if SMOKE else SearchOptions()
+options = SearchOptions(raw_samples=24, starts=2) if SMOKE else SearchOptions()
 mine = Arrangement(reference_case("soft-pa").prior, ((400.0, 0.22),), plan, samples=64 if SMOKE else 256, options=options)
 count = 12 if SMOKE else 100
 replicates = list(calibrate(mine, PolytropicSimulator(), range(count), seed=0))

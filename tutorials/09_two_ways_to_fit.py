@@ -40,7 +40,7 @@ prior = wide_prior(("nhkv",))
 # ## Fit, and weigh
 
 # %%
-default = assimilate(prior, batch, simulator, seed=0, options=SearchOptions(scouts=48, starts=2) if SMOKE else None)
+default = assimilate(prior, batch, simulator, seed=0, options=SearchOptions(raw_samples=48, starts=2) if SMOKE else None)
 ensemble = assimilate_en4dvar(prior, batch, simulator, seed=0)
 tempered = assimilate_en4dvar(prior, batch, simulator, seed=0, options=En4DVarOptions(tempered=True))
 

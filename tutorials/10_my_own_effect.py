@@ -106,7 +106,7 @@ print(describe(report, examine(report, simulator, seed=0)))
 
 # %%
 batch = ExperimentBatch(experiments, laboratory.noise)
-options = SearchOptions(scouts=32, starts=2) if SMOKE else None
+options = SearchOptions(raw_samples=32, starts=2) if SMOKE else None
 for model in ("nhkv", "nhkv+fading_pressure"):
     fit = assimilate(wide_prior([model]), batch, simulator, seed=1, options=options)[model]
     print(model, {name: round(float(x), 4) for name, x in zip(fit.posterior.names, fit.posterior.means, strict=True)})

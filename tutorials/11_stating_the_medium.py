@@ -17,7 +17,7 @@ from imr_torch.observe import Statement, gel_medium
 from imr_torch.plot import MODEL, TRUTH
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
-options = SearchOptions(scouts=32, starts=2) if SMOKE else None
+options = SearchOptions(raw_samples=32, starts=2) if SMOKE else None
 traces = load_traces(example_gel()).select(["shot_1"] if SMOKE else ["shot_1", "shot_3"])
 prior = wide_prior(["nhkv"])
 

@@ -70,7 +70,7 @@ truth = {"G": 8000.0, "mu": 0.09}
 plan = Plan(times=times, repeats=1, collapses=None)
 laboratory = SimulatedLaboratory(bubbles, PARAMETERS.pack(truth), times=times, repeats=1)
 experiment = laboratory.shoot(design, seed=1)
-options = SearchOptions(scouts=32, starts=2) if SMOKE else None
+options = SearchOptions(raw_samples=32, starts=2) if SMOKE else None
 fit = assimilate(belief, ExperimentBatch((experiment,), laboratory.noise), bubbles, seed=1, options=options)["nhkv"]
 levels = torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64)
 neural, fitted = draws(experiment.radius[0]).quantile(levels, 0), fit.posterior.quantile(levels.tolist())

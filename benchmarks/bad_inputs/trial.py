@@ -19,7 +19,7 @@ from imr_torch.campaign import Campaign
 from imr_torch.cli import main
 from imr_torch.cli.common import METHODS
 
-SMALL = {"map": SearchOptions(scouts=12, starts=2)}
+SMALL = {"map": SearchOptions(raw_samples=12, starts=2)}
 LONGEST = 10.0  # seconds that a case may take
 
 

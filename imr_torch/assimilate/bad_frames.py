@@ -198,7 +198,7 @@ def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator)
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=1)
     >>> shot = laboratory.shoot(design, seed=0)
     >>> shot.radius[0, 7] += 0.15
-    >>> batch, options = ExperimentBatch((replace(shot, label="shot 1"),)), SearchOptions(scouts=16, starts=2)
+    >>> batch, options = ExperimentBatch((replace(shot, label="shot 1"),)), SearchOptions(raw_samples=16, starts=2)
     >>> fit = assimilate(wide_prior(["nhkv"]), batch, simulator, seed=0, options=options)["nhkv"]
     >>> [(bad.experiment, bad.frame) for bad in find_bad_frames(fit, batch, simulator).frames]
     [('shot 1', 7)]

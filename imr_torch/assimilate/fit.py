@@ -111,7 +111,8 @@ class ModelFit:
     >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
-    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> options = SearchOptions(raw_samples=16, starts=2)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=options)
     >>> posterior = fits["nhkv"].posterior
     >>> posterior.names, [round(float(sd / mean), 2) for mean, sd in zip(posterior.means, posterior.sds)]
     (('G', 'mu'), [0.01, 0.01])
@@ -263,7 +264,8 @@ class Assimilation:
     >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
-    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> options = SearchOptions(raw_samples=16, starts=2)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=options)
     >>> fits.converged, [fit.model for fit in fits.fits]
     (True, ['nhkv', 'gen_qkv'])
     >>> round(fits.rmse("nhkv"), 4)  # in R*

@@ -120,7 +120,7 @@ def find_frame_jitter(fit: ModelFit, batch: ExperimentBatch, simulator: Simulato
     >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
     >>> simulator, design = PolytropicSimulator(), torch.tensor([400.0, 0.22], dtype=torch.float64)
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=1)
-    >>> batch, options = ExperimentBatch((laboratory.shoot(design, seed=0),)), SearchOptions(scouts=16, starts=2)
+    >>> batch, options = ExperimentBatch((laboratory.shoot(design, seed=0),)), SearchOptions(raw_samples=16, starts=2)
     >>> fit = assimilate(wide_prior(["nhkv"]), batch, simulator, seed=0, options=options)["nhkv"]
     >>> find_frame_jitter(fit, batch, simulator).found
     False

@@ -20,7 +20,7 @@ from imr_torch.assimilate.multistart import defer_starts, enter_deeper_basins, m
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.polish import polish_slow
 from imr_torch.assimilate.posterior import Posterior
-from imr_torch.assimilate.starts import beside, given, scouted
+from imr_torch.assimilate.starts import beside, best_prior_draws, given
 from imr_torch.errors import ConvergenceWarning
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
@@ -75,7 +75,8 @@ def assimilate(
     >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
-    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> options = SearchOptions(raw_samples=16, starts=2)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=options)
     >>> {fit.model: fit.certificate.converged for fit in fits.fits}
     {'nhkv': True, 'gen_qkv': True}
     >>> min(fits.fits, key=lambda fit: fit.cost).model
@@ -88,7 +89,7 @@ def assimilate(
     elif near is not None:
         points = [beside(p, near[p.prior.model], options, source) for p in posteriors]
     else:
-        points = [scouted(p, options, source) for p in posteriors]
+        points = [best_prior_draws(p, options, source) for p in posteriors]
     masking = starts is None and near is None if options.mask_collapses is None else options.mask_collapses
     searches = [Chains.at(p, x, masking=masking) for p, x in zip(posteriors, points, strict=True)]
     searches = _converged(defer_starts(searches, options), options, source, progress)

@@ -76,7 +76,7 @@ def assimilate_estimating_noise(
     >>> from imr_torch.observe import ExperimentBatch, Noise, SimulatedLaboratory
     >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), noise=Noise(scale=2.0), repeats=5)
-    >>> shot, options = laboratory.shoot(torch.tensor([400.0, 0.22]).double(), seed=1), SearchOptions(scouts=16, starts=2)
+    >>> shot, options = laboratory.shoot(torch.tensor([400.0, 0.22]).double(), seed=1), SearchOptions(raw_samples=16, starts=2)
     >>> fits = assimilate_estimating_noise(case.prior, ExperimentBatch((shot,)), simulator, rounds=1, seed=0, options=options)
     >>> round(fits.batch.noise.scale, 1)  # times the published law
     2.0

@@ -11,7 +11,7 @@ class SearchOptions:
     """Settings of the search for the most probable gel (:func:`imr_torch.assimilate.assimilate`).
 
     Args:
-        scouts: prior draws from which the starts are chosen.
+        raw_samples: prior draws from which the starts are chosen.
         starts: independent searches per model; two or more, so that they can agree.
         iterations: most Gauss-Newton iterations.
         gradient: tolerance of the gradient, posterior standard deviations; 1e-3 leaves 5e-7 nats.
@@ -35,7 +35,7 @@ class SearchOptions:
     0.001
     """
 
-    scouts: int = 192
+    raw_samples: int = 192
     starts: int = 3
     iterations: int = 60
     gradient: float = 1e-3
@@ -47,8 +47,8 @@ class SearchOptions:
     polish: bool = True
 
     def __post_init__(self) -> None:
-        if not 2 <= self.starts <= self.scouts:
-            raise InputDataError(f"SearchOptions needs 2 <= starts <= scouts, got {self.starts} and {self.scouts}.")
+        if not 2 <= self.starts <= self.raw_samples:
+            raise InputDataError(f"SearchOptions needs 2 <= starts <= raw_samples, got {self.starts} and {self.raw_samples}.")
         if self.basin_rounds < 0:
             raise InputDataError(f"SearchOptions.basin_rounds is {self.basin_rounds}; expected 0 or more.")
         if self.iterations < 1:

@@ -95,7 +95,7 @@ def profile(
     >>> simulator = PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=1)
     >>> batch = ExperimentBatch((laboratory.shoot(torch.tensor([400.0, 0.22]).double(), seed=1),))
-    >>> fits = assimilate(wide_prior(["nhkv"]), batch, simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> fits = assimilate(wide_prior(["nhkv"]), batch, simulator, seed=0, options=SearchOptions(raw_samples=16, starts=2))
     >>> (found,) = profile(fits["nhkv"], batch, simulator, names=("mu",))
     >>> found.bounded, found.limits[0] < 0.093 < found.limits[1]
     ('on both sides', True)

@@ -20,11 +20,11 @@ _RESTART = 0.25  # prior standard deviations
 _BESIDE = 10.0  # posterior standard deviations between an earlier optimum and the starts about it
 
 
-def scouted(posterior: Posterior, options: SearchOptions, source: torch.Generator) -> Point:
+def best_prior_draws(posterior: Posterior, options: SearchOptions, source: torch.Generator) -> Point:
     """The best of many prior draws that are not neighbours of each other, by coarse bubbles; the prior mean is among them."""
-    draws = torch.randn(options.scouts, posterior.size, generator=source, dtype=torch.float64)
+    draws = torch.randn(options.raw_samples, posterior.size, generator=source, dtype=torch.float64)
     draws[0] = 0.0
-    points = Point(draws, posterior.still(options.scouts))
+    points = Point(draws, posterior.still(options.raw_samples))
     return points[_distinct(posterior.prior.model, draws, -posterior.coarse.log_joint(points), options.starts)]
 
 

@@ -34,7 +34,8 @@ from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 _REFITS = 4  # times that a model is fitted again, at most
-_PAIRS = 4  # of nuisances for each draw, from the third round on
+_PAIRS = 4  # of nuisances for each draw from the third round on, where more than half of the effective draws were lost
+_FEWER = 4  # part of the draws that a model far behind gets
 _FREEDOM = 15
 """Degrees of freedom of what proposes nuisances: heavier tails than a Gaussian's, which costs 3 % of the draws an experiment
 where the posterior is one. Of 17 models of real files 3 were refused by a Gaussian, 1 by these (or 7, at 8 % an experiment)."""
@@ -130,7 +131,8 @@ def weigh(
         seed: of the draws.
         samples: draws per model in the first two rounds, each one simulation per experiment (two where nuisances are
             uncertain). Every later round has twice as many as the one before, so that chance alone does not lead to refusal;
-            but where nuisances are uncertain the third has as many, each with four times the nuisances.
+            but where nuisances are uncertain the third has as many, with four times the nuisances of each where the second
+            round was worth less than half of its draws. Of a model that ``drop_behind`` leaves one round, a quarter.
         rounds: most rounds; a model stops when the weights are reliable and their moments those that the proposal was
             made for, which after the first round are those of the fit's Gaussian.
         drop_behind: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
@@ -155,7 +157,8 @@ def weigh(
     >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
-    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> options = SearchOptions(raw_samples=16, starts=2)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=options)
     >>> weighed = weigh(fits, simulator, seed=0, samples=64)
     >>> weighed["nhkv"].verdict.value
     'trusted'
@@ -167,12 +170,14 @@ def weigh(
     waiting, number = states, 0
     while waiting:
         number += 1
+        ahead = _ahead([state.fit for state in states], drop_behind)
         for state in waiting:
             if noise is not None and state.nodes is None:
                 posterior = Posterior(state.fit.prior, batch, simulator)
                 state.nodes = NoiseNodes.near(posterior.neighbourhood(state.fit.point), noise)
             state.proposals.append(_proposal(state, batch, simulator))
-            state.parts.append(_simulate(state, _draw(state, batch, samples, seed, simulator), batch, simulator))
+            some = samples if state.fit.model in ahead else max(25, samples // _FEWER)
+            state.parts.append(_simulate(state, _draw(state, batch, some, seed, simulator), batch, simulator))
             state.drawn += 1
             state.fit = _judge(state.fit, state.proposals[-1], state.parts[-1])
         if progress:
@@ -241,7 +246,8 @@ def _draw(state: _State, batch: ExperimentBatch, samples: int, seed: int, simula
         still = torch.zeros(samples, 1, experiments, 3, dtype=torch.float64)
         return _Draws(controls, still, still[..., 0], uniforms)
     uncertain = batch.nuisance_sds > 0.0
-    pairs = 1 if number < 2 else _PAIRS
+    last = fit.sample
+    pairs = 1 if number < 2 or (last is not None and last.effective_samples > len(last) / 2) else _PAIRS
     normal = torch.randn(samples, pairs, experiments, 3, generator=source, dtype=torch.float64)
     half = torch.where(uncertain, student_draws(normal.shape, _FREEDOM, source), normal)
     noise = torch.cat((half, -half), dim=1)

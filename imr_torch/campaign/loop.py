@@ -58,7 +58,7 @@ class Campaign:
     >>> from imr_torch.observe import SimulatedLaboratory
     >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
-    >>> learner = ExactLearner(64, SearchOptions(scouts=16, starts=2))
+    >>> learner = ExactLearner(64, SearchOptions(raw_samples=16, starts=2))
     >>> settings = CampaignSettings(policy=Fixed(((400.0, 0.22),)), learner=learner)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     campaign = Campaign(folder, case.prior, simulator, settings=settings, seed=0)
@@ -278,7 +278,7 @@ class Campaign:
         >>> from imr_torch.observe import SimulatedLaboratory
         >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
         >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
-        >>> settings = CampaignSettings(learner=ExactLearner(64, SearchOptions(scouts=16, starts=2)))
+        >>> settings = CampaignSettings(learner=ExactLearner(64, SearchOptions(raw_samples=16, starts=2)))
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     campaign = Campaign(folder, case.prior, simulator, settings=settings)
         ...     _ = campaign.tell(laboratory.shoot(torch.tensor([400.0, 0.22]).double(), seed=0))

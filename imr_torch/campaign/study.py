@@ -140,7 +140,7 @@ def run_campaigns(
     >>> from imr_torch.observe import SimulatedLaboratory
     >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
-    >>> settings = CampaignSettings(policy=Random(), learner=ExactLearner(64, SearchOptions(scouts=16, starts=2)))
+    >>> settings = CampaignSettings(policy=Random(), learner=ExactLearner(64, SearchOptions(raw_samples=16, starts=2)))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     study = Study(Path(folder), case.prior, simulator, laboratory, settings)
     ...     [(outcome.seed, outcome.designs) for outcome in run_campaigns([0, 1], study, designs=1)]

@@ -11,7 +11,6 @@ from imr_torch.files import drawn_numbers
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.identity_design import NextDesign
-from imr_torch.gap.ladder import Ladder, Rung
 from imr_torch.gap.lookalike import Likeness
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.report import (
@@ -24,6 +23,7 @@ from imr_torch.gap.report import (
     parameter_shift,
     parameters,
 )
+from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
 from imr_torch.gap.verdict import VERDICT_ODDS
 from imr_torch.simulate import Simulator
 
@@ -71,8 +71,8 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         "adequacy_p": report.adequacy_p,
         "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
         "best_rival": None if judged is None else judged.rival,
-        "ladder": None if parts.ladder is None else ladder_document(parts.ladder),
-        "ladder_own_gels": None if parts.ladder is None else [_rung(rung) for rung in parts.ladder.own_gels],
+        "ladder": None if parts.selection is None else selection_document(parts.selection),
+        "ladder_own_gels": None if parts.selection is None else [_step(step) for step in parts.selection.own_gels],
         "gel_scatter": None if parts.scatter is None else parts.scatter.to_dict(),
         "cause_values": cause_values(report),
         "parameter_shift": parameter_shift(report),
@@ -138,25 +138,25 @@ def curves_of(report: GapReport, simulator: Simulator | None = None) -> list[dic
     return rows
 
 
-def ladder_document(ladder: Ladder) -> list[dict[str, Any]]:
-    """A ladder as JSON-ready values, a rung each, the base model first."""
-    return [_rung(rung) for rung in ladder.rungs]
+def selection_document(selection: StepwiseSelection) -> list[dict[str, Any]]:
+    """A stepwise selection as JSON-ready values, a step each, the base model first."""
+    return [_step(step) for step in selection.steps]
 
 
-def _rung(rung: Rung) -> dict[str, Any]:
-    """A rung of the ladder: its effects, what is left and where, what is closed on held-out designs, and the parameters."""
+def _step(step: SelectionStep) -> dict[str, Any]:
+    """A step of the selection: its effects, what is left and where, what is closed on held-out designs, and the parameters."""
     return {
-        "effects": list(rung.effects),
-        "misfit": rung.misfit,
-        "noise": rung.noise,
-        "left": [vars(part) for part in rung.left],
-        "gained_nats": rung.gained,
-        "closed": None if rung.closed is None else list(rung.closed),
-        "log_score": None if rung.log_score is None else list(rung.log_score),
-        "adequacy_p": rung.test.p_value,
-        "converged": rung.converged,
-        "certificate": str(rung.fit.certificate),
-        "parameters": all_parameters(rung.fit),
+        "effects": list(step.effects),
+        "misfit": step.misfit,
+        "noise": step.noise,
+        "left": [vars(part) for part in step.left],
+        "gained_nats": step.gained,
+        "closed": None if step.closed is None else list(step.closed),
+        "log_score": None if step.log_score is None else list(step.log_score),
+        "adequacy_p": step.test.p_value,
+        "converged": step.converged,
+        "certificate": str(step.fit.certificate),
+        "parameters": all_parameters(step.fit),
     }
 
 

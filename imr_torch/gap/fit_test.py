@@ -104,7 +104,7 @@ def check_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
     >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
     >>> simulator, design = PolytropicSimulator(), torch.tensor([400.0, 0.22], dtype=torch.float64)
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=1)
-    >>> batch, options = ExperimentBatch((laboratory.shoot(design, seed=0),)), SearchOptions(scouts=16, starts=2)
+    >>> batch, options = ExperimentBatch((laboratory.shoot(design, seed=0),)), SearchOptions(raw_samples=16, starts=2)
     >>> fit = assimilate(wide_prior(["nhkv"]), batch, simulator, seed=0, options=options)["nhkv"]
     >>> tested = check_fit(fit, batch, simulator)
     >>> tested.explained, tested.p_value > 0.04

@@ -158,10 +158,12 @@ def _pictures(report: GapReport, parts: Parts, simulator: Simulator | None) -> l
         caption = "Part of the gap on held-out designs that the cause and its best rival remove."
         alt = "Intervals of the part of the gap that is removed; the sentences above give the numbers."
         made.append(_picture("How far does it shrink?", caption, alt, lambda: plots.plot_shrinkage(judged)))
-    if (ladder := parts.ladder) is not None:
+    if (selection := parts.selection) is not None:
         caption = "From the base model towards the noise: what is left of the misfit as effects are added one after the other."
-        alt = f"Bar chart of the misfit by rung. {ladder}"
-        made.append(_picture("How much do known effects close together?", caption, alt, lambda: plots.plot_ladder(ladder)))
+        alt = f"Bar chart of the misfit by step. {selection}"
+        made.append(
+            _picture("How much do known effects close together?", caption, alt, lambda: plots.plot_selection(selection))
+        )
     if (after := fit_of_cause(report)) is not None:
         made.append(
             _picture(

@@ -13,13 +13,13 @@ from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.forecast import plan_of, unknown_like
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign, identity_design
-from imr_torch.gap.ladder import Ladder, climb, with_held_out
 from imr_torch.gap.latent import LatentPressure, latent_pressure
 from imr_torch.gap.locate import ByExperiment, Onset, by_experiment, onset
-from imr_torch.gap.own_gels import own_gel_rungs
+from imr_torch.gap.own_gels import own_gel_steps
 from imr_torch.gap.prediction import hold_out, with_scatter
 from imr_torch.gap.scatter import GelScatter, gel_scatter
 from imr_torch.gap.shrinkage import Shrinkage, judge
+from imr_torch.gap.stepwise import StepwiseSelection, select_stepwise, with_held_out
 from imr_torch.gap.verdict import OTHER
 from imr_torch.gap.windows import MovingWindows, moving_windows
 from imr_torch.material import LIBRARY
@@ -30,7 +30,7 @@ from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 MOST = 4
-"""Effects that a ladder adds, at most."""
+"""Effects that a stepwise selection adds, at most."""
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed
 
 
@@ -45,7 +45,7 @@ class Parts:
         latent: the pressure that would explain it.
         windows: apparent parameters over the event.
         shrinkage: how far a named cause shrinks the gap on designs that its fit did not see.
-        ladder: how much of the gap effects close together, enough or not.
+        selection: how much of the gap effects close together, enough or not.
         scatter: whether the gel differs between the curves, against the effects of the library.
         next_design: what to shoot to tell the causes apart that are still possible.
 
@@ -59,7 +59,7 @@ class Parts:
     latent: LatentPressure | None = None
     windows: MovingWindows | None = None
     shrinkage: Shrinkage | None = None
-    ladder: Ladder | None = None
+    selection: StepwiseSelection | None = None
     next_design: NextDesign | None = None
     scatter: GelScatter | None = None
     acts: WhereItActs | None = None
@@ -82,7 +82,7 @@ def examine(
         simulator: makes the bubbles, as in the diagnosis.
         unseen: experiments that the diagnosis did not see, on which the shrinkage is judged; without them the diagnosed
             ones are held out in turn.
-        most: effects that the ladder adds, at most.
+        most: effects that the stepwise selection adds, at most.
         seed: of calibrations and searches.
         progress: called with one line per step.
 
@@ -104,14 +104,14 @@ def examine(
         progress("location, shrinkage, next design")
     here = (fit, line, batch, simulator)
     scatter = gel_scatter(report, simulator, seed=child(seed, "scatter"))
-    ladder, shrunk = closed_by(report, simulator, unseen, most=most, seed=seed, scatter=scatter, progress=progress)
+    selection, shrunk = closed_by(report, simulator, unseen, most=most, seed=seed, scatter=scatter, progress=progress)
     return Parts(
         onset=onset(*here, seed=child(seed, "onset"), directions=directions),
         by_experiment=by_experiment(*here, seed=child(seed, "experiments"), directions=directions),
         latent=latent_pressure(*here),
         windows=moving_windows(*here),
         shrinkage=shrunk,
-        ladder=ladder,
+        selection=selection,
         next_design=_next(report, simulator, seed, progress),
         scatter=scatter,
         acts=_acts(report, simulator, seed),
@@ -136,46 +136,48 @@ def closed_by(
     seed: int = 0,
     scatter: GelScatter | None = None,
     progress: Progress | None = None,
-) -> tuple[Ladder, Shrinkage | None]:
-    """The ladder, and the reduction of the gap by the named cause beside its best rival, None without a cause.
+) -> tuple[StepwiseSelection, Shrinkage | None]:
+    """The stepwise selection, and the reduction of the gap by the named cause beside its best rival, None without a cause.
 
-    Both are judged on the same held-out designs; without two designs the ladder says what is closed in sample only.
+    Both are judged on the same held-out designs; without two designs the stepwise selection says what is closed in sample only.
 
     Args:
         report: a diagnosis that found a gap.
         simulator: makes the bubbles, as in the diagnosis.
         unseen: as of :func:`examine`.
-        most: effects that the ladder adds, at most.
+        most: effects that the stepwise selection adds, at most.
         seed: of fits and bootstrap.
-        scatter: the gels of single curves, for rungs at which each has its own.
+        scatter: the gels of single curves, for steps at which each has its own.
         progress: called with one line per step.
     """
     effects = tuple(LIBRARY[name] for name in report.directions)
     inquiry = Inquiry(report.null.prior, effects, report.batch, simulator)
     tested = {step.winner: step.left for step in report.steps if step.left}
     own = child(seed, "ladder")
-    ladder = climb(inquiry, report.null, report.gap, report.fits, tested=tested, most=most, seed=own, progress=progress)
-    ladder = replace(ladder, own_gels=own_gel_rungs(scatter, report) if scatter else ())
+    selection = select_stepwise(
+        inquiry, report.null, report.gap, report.fits, tested=tested, most=most, seed=own, progress=progress
+    )
+    selection = replace(selection, own_gels=own_gel_steps(scatter, report) if scatter else ())
     if not unseen and len(report.batch.experiments) < 2:
-        return ladder, None
+        return selection, None
     names, found = ["none"], report.attribution
     rival = None
     if found is not None and report.verdict in ("effect", "class"):
         rival = _best_rival(report, found)
         names += [found.winner, *([rival] if rival else [])]
-    fits = {name: report.fits[name] for name in names} | {rung.name: rung.fit for rung in ladder.rungs}
+    fits = {name: report.fits[name] for name in names} | {step.name: step.fit for step in selection.steps}
     apart = ExperimentBatch(tuple(unseen), report.batch.noise) if unseen else None
     own, sds = child(seed, "shrinkage"), {}
     if scatter:
         for name in ("none", scatter.rival):
             fits[name], sds[name] = report.fits[name], scatter.sds[with_scatter(name)]
     held = hold_out(fits, report.batch, simulator, seed=own, unseen=apart, scatters=sds, progress=progress)
-    ladder = with_held_out(ladder, held, seed=own)
+    selection = with_held_out(selection, held, seed=own)
     if len(names) == 1:
-        return ladder, None
+        return selection, None
     assert found is not None
     other = _hypothesis(report, rival) if rival else None
-    return ladder, judge(_hypothesis(report, found.winner), other, fits, held, seed=own)
+    return selection, judge(_hypothesis(report, found.winner), other, fits, held, seed=own)
 
 
 def _next(report: GapReport, simulator: Simulator, seed: int, progress: Progress | None) -> NextDesign | None:

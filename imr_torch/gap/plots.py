@@ -16,12 +16,12 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.acts import WhereItActs
-from imr_torch.gap.ladder import Ladder, Rung
 from imr_torch.gap.latent import LatentPressure
 from imr_torch.gap.locate import Onset
 from imr_torch.gap.phases import PHASES, phase_clock, phase_name
 from imr_torch.gap.score import LEVEL, BlockResult, GapTest
 from imr_torch.gap.shrinkage import Shrinkage
+from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
 from imr_torch.gap.windows import MovingWindows
 from imr_torch.labels import R_STAR, T_STAR, plain
 from imr_torch.material import LIBRARY, PARAMETERS
@@ -233,26 +233,26 @@ def plot_shrinkage(found: Shrinkage, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_ladder(found: Ladder, *, ax: Axes | None = None) -> Axes:
-    """Misfit in R* from the base model to the last effect added, beside the noise, with what each rung closes held out."""
-    rungs = found.rungs
-    ax = _axes(ax, (5.8, 1.3 + 0.5 * len(rungs)))
-    places = list(range(len(rungs) - 1, -1, -1))
-    ax.barh(places, [rung.misfit for rung in rungs], color=[BASE, *[AFTER] * (len(rungs) - 1)], height=0.55)
-    ax.axvline(rungs[-1].noise, color=DATA, ls="--", lw=1, label="noise of the mean curves")
-    top = max(*(rung.misfit for rung in rungs), rungs[-1].noise)
-    for place, rung in zip(places, rungs, strict=True):
-        closed = "" if rung.closed is None else f", closes {rung.closed[1]:.2f} ({rung.closed[0]:.2f} to {rung.closed[2]:.2f})"
-        ax.text(rung.misfit + 0.01 * top, place, f" {rung.misfit:.4f}{closed}", va="center", fontsize=7)
-    names = ["base model", *("+ " + plain(_added(a, b), 40) for a, b in itertools.pairwise(rungs))]
+def plot_selection(found: StepwiseSelection, *, ax: Axes | None = None) -> Axes:
+    """Misfit in R* from the base model to the last effect added, beside the noise, with what each step closes held out."""
+    steps = found.steps
+    ax = _axes(ax, (5.8, 1.3 + 0.5 * len(steps)))
+    places = list(range(len(steps) - 1, -1, -1))
+    ax.barh(places, [step.misfit for step in steps], color=[BASE, *[AFTER] * (len(steps) - 1)], height=0.55)
+    ax.axvline(steps[-1].noise, color=DATA, ls="--", lw=1, label="noise of the mean curves")
+    top = max(*(step.misfit for step in steps), steps[-1].noise)
+    for place, step in zip(places, steps, strict=True):
+        closed = "" if step.closed is None else f", closes {step.closed[1]:.2f} ({step.closed[0]:.2f} to {step.closed[2]:.2f})"
+        ax.text(step.misfit + 0.01 * top, place, f" {step.misfit:.4f}{closed}", va="center", fontsize=7)
+    names = ["base model", *("+ " + plain(_added(a, b), 40) for a, b in itertools.pairwise(steps))]
     ax.set_yticks(places, names, fontsize=8)
-    ax.set(xlabel="misfit in $R^*$ (root mean square, beyond noise)", xlim=(0.0, 2.3 * top), ylim=(-0.6, len(rungs) - 0.4))
+    ax.set(xlabel="misfit in $R^*$ (root mean square, beyond noise)", xlim=(0.0, 2.3 * top), ylim=(-0.6, len(steps) - 0.4))
     ax.legend(frameon=False, fontsize=7, loc="lower right")
     return ax
 
 
-def _added(before: Rung, after: Rung) -> str:
-    """What one rung has that the one before has not, and what it dropped."""
+def _added(before: SelectionStep, after: SelectionStep) -> str:
+    """What one step has that the one before has not, and what it dropped."""
     added = [name for name in after.effects if name not in before.effects]
     dropped = [name for name in before.effects if name not in after.effects]
     return ", ".join(added) + (f", without {', '.join(dropped)}" if dropped else "")

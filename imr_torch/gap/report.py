@@ -78,7 +78,7 @@ def sections(report: GapReport, parts: Parts | None = None) -> list[Section]:
         Section("Which effect causes it?", _causes(report), folded=nothing),
         Section("Does the gel differ between the curves?", _scatter(parts), folded=parts.scatter is None),
         Section("How far does it shrink?", _shrinkage(report, parts), folded=nothing or parts.shrinkage is None),
-        Section("How much do known effects close together?", _ladder(parts), folded=parts.ladder is None),
+        Section("How much do known effects close together?", _selection(parts), folded=parts.selection is None),
         Section("What does it do to the parameters?", _shift(report), folded=fit_of_cause(report) is None),
         Section("What to measure next?", _next(report, parts), folded=parts.next_design is None),
         Section("Not tested, and why", _not_tested(report, parts), folded=True),
@@ -340,19 +340,19 @@ def _shrinkage(report: GapReport, parts: Parts) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _ladder(parts: Parts) -> tuple[str, ...]:
-    if (ladder := parts.ladder) is None:
+def _selection(parts: Parts) -> tuple[str, ...]:
+    if (selection := parts.selection) is None:
         return ("Not computed, because no gap was found.",)
-    lines = [str(ladder)]
-    for rung in (*ladder.rungs, *ladder.own_gels):
-        name = " and ".join(rung.effects).replace("gel_scatter", "a gel of its own for each curve") or "the base model alone"
-        line = f"{name}: misfit {rung.misfit:.4f} in R* beside noise of {rung.noise:.4f}"
-        if rung.closed is not None:
-            low, middle, high = rung.closed
+    lines = [str(selection)]
+    for step in (*selection.steps, *selection.own_gels):
+        name = " and ".join(step.effects).replace("gel_scatter", "a gel of its own for each curve") or "the base model alone"
+        line = f"{name}: misfit {step.misfit:.4f} in R* beside noise of {step.noise:.4f}"
+        if step.closed is not None:
+            low, middle, high = step.closed
             line += f", closes {middle:.2f} ({low:.2f} to {high:.2f}) of the held-out gap"
-        if rung.log_score is not None:
-            line += f", predicts held-out curves {rung.log_score[0]:+.1f} +- {rung.log_score[1]:.1f} nats better"
-        lines.append(f"{line}; adequacy {p_value(rung.test.p_value)}{'' if rung.converged else '; a fit has not converged'}.")
+        if step.log_score is not None:
+            line += f", predicts held-out curves {step.log_score[0]:+.1f} +- {step.log_score[1]:.1f} nats better"
+        lines.append(f"{line}; adequacy {p_value(step.test.p_value)}{'' if step.converged else '; a fit has not converged'}.")
     return tuple(lines)
 
 

@@ -39,7 +39,7 @@ def characterization_page(document: Mapping[str, Any], *, title: str = "", repor
     >>> simulator, size, times = PolytropicSimulator(), 221e-6, torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
     >>> bubble = simulator(PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), torch.tensor([200.0, 0.2]).double(), times)
     >>> traces = TraceSet((RadiusTrace("a", times * Surroundings().time_scale(size), size * bubble.radius, "example"),))
-    >>> options = SearchOptions(scouts=16, starts=2)
+    >>> options = SearchOptions(raw_samples=16, starts=2)
     >>> prior = wide_prior(["nhkv"])
     >>> result = characterize(traces, prior=prior, simulator=simulator, rest_radius=(0.2, 0.002), options=options)
     >>> document = header("characterize") | characterization_document(result, traces, simulator, draws=5)

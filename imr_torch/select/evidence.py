@@ -65,7 +65,8 @@ def log_evidence(fit: ModelFit) -> Evidence:
     >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
-    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> options = SearchOptions(raw_samples=16, starts=2)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=options)
     >>> weighed = weigh(fits, simulator, seed=0, samples=64)
     >>> log_evidence(weighed["nhkv"]).model, log_evidence(weighed["nhkv"]).trusted
     ('nhkv', True)
@@ -108,7 +109,8 @@ def evidences(assimilation: Assimilation) -> tuple[Evidence, ...]:
     >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
-    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> options = SearchOptions(raw_samples=16, starts=2)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=options)
     >>> nhkv, gen_qkv = evidences(weigh(fits, simulator, seed=0, samples=64))
     >>> nhkv.value > gen_qkv.value  # the data are of NHKV
     True

@@ -88,7 +88,7 @@ def predictive_density(
     >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
-    >>> options = SearchOptions(scouts=16, starts=2)
+    >>> options = SearchOptions(raw_samples=16, starts=2)
     >>> value, error = predictive_density(case.prior, ExperimentBatch((shot,)), simulator, seed=0, samples=64, options=options)
     >>> value > 100.0, error < 1.0  # nats
     (True, True)
@@ -151,7 +151,7 @@ def cross_validate(
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
     >>> designs = torch.tensor([[400.0, 0.22], [600.0, 0.18]], dtype=torch.float64)
     >>> batch = ExperimentBatch(tuple(laboratory.shoot(design, seed=1) for design in designs))
-    >>> fits = assimilate(wide_prior(["nhkv"]), batch, simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> fits = assimilate(wide_prior(["nhkv"]), batch, simulator, seed=0, options=SearchOptions(raw_samples=16, starts=2))
     >>> scores = cross_validate(weigh(fits, simulator, seed=0, samples=64), simulator, seed=0, samples=64)
     >>> [score.held_out for score in scores]
     [('We 400, R_inf* 0.220',), ('We 600, R_inf* 0.180',)]

@@ -29,7 +29,8 @@ def update(assimilation: Assimilation, evidence: Sequence[Evidence]) -> Belief:
     >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
-    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=SearchOptions(scouts=16, starts=2))
+    >>> options = SearchOptions(raw_samples=16, starts=2)
+    >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=options)
     >>> weighed = weigh(fits, simulator, seed=0, samples=64)
     >>> update(weighed, evidences(weighed)).best.model
     'nhkv'

@@ -13,7 +13,7 @@ from tests.linear import CORRELATED, NOISE, LinearSimulator, prior, tensor
 PRIOR = prior(("nhkv",))
 PART = PRIOR.models[0]
 SIMULATOR = LinearSimulator()
-OPTIONS = SearchOptions(scouts=8, starts=2)
+OPTIONS = SearchOptions(raw_samples=8, starts=2)
 FRAMES = 60
 TIMES = torch.linspace(0.05, 2.5, FRAMES, dtype=torch.float64)
 SD = 0.05

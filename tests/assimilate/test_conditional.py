@@ -60,7 +60,7 @@ def test_that_what_cannot_be_simulated_keeps_its_guess():
 
 def test_that_weighing_survives_nuisances_that_do_not_move_as_the_fit_says():
     batch, simulator = experiments(3, nuisance=BOTH), LinearSimulator()
-    fitted = assimilate(prior(("nhkv",)), batch, simulator, seed=1, options=SearchOptions(scouts=24))
+    fitted = assimilate(prior(("nhkv",)), batch, simulator, seed=1, options=SearchOptions(raw_samples=24))
     fit = fitted.fits[0]
     spoilt = replace(fit, nuisance_response=torch.zeros_like(fit.nuisance_response), nuisances=fit.nuisances + 1.5)
     spoilt = replace(spoilt, nuisance_chol=2.0 * fit.nuisance_chol)

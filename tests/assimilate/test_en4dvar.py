@@ -84,7 +84,7 @@ def test_that_its_posterior_agrees_with_the_default_once_weighed(number: int) ->
     times, simulator = torch.linspace(0.0, 2.0, 41, dtype=torch.float64), PolytropicSimulator()
     laboratory = SimulatedLaboratory(simulator, gel, repeats=4, times=times, noise=Noise(), nuisance=nuisance)
     batch = ExperimentBatch((laboratory.shoot(design, seed=number),), Noise())
-    default = assimilate(belief, batch, simulator, seed=0, options=SearchOptions(scouts=96))
+    default = assimilate(belief, batch, simulator, seed=0, options=SearchOptions(raw_samples=96))
     ensemble = assimilate_en4dvar(belief, batch, simulator, seed=0)
     assert ensemble.fits[0].cost < default.fits[0].cost + 0.5
     one, other = (weigh(found, simulator, seed=1).fits[0].posterior for found in (default, ensemble))

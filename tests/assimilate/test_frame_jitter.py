@@ -16,7 +16,7 @@ from imr_torch.observe import ExperimentBatch, Noise, SimulatedLaboratory, predi
 from imr_torch.random import generator
 
 SIMULATOR, PRIOR = PolytropicSimulator(), wide_prior(["nhkv"])
-OPTIONS = SearchOptions(scouts=16, starts=2)
+OPTIONS = SearchOptions(raw_samples=16, starts=2)
 GEL = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
 
 

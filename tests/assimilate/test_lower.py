@@ -15,7 +15,7 @@ BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 @pytest.fixture(scope="module")
 def right() -> Assimilation:
-    options = SearchOptions(scouts=24, starts=2)
+    options = SearchOptions(raw_samples=24, starts=2)
     return assimilate(prior(("nhkv",)), experiments(3, nuisance=BOTH), LinearSimulator(), seed=1, options=options)
 
 
@@ -88,7 +88,7 @@ def test_that_a_minimum_that_is_not_lower_is_not_taken_and_the_fit_is_weighed_to
 def test_that_a_model_fitted_again_is_weighed_beside_others_whose_rounds_are_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
     """All rounds are made; the third has several nuisances to a draw, of which one is kept in proportion to its weight."""
     monkeypatch.setattr("imr_torch.assimilate.weighing._State.refused", True)
-    batch, options = experiments(3, nuisance=BOTH), SearchOptions(scouts=24, starts=2)
+    batch, options = experiments(3, nuisance=BOTH), SearchOptions(raw_samples=24, starts=2)
     both = assimilate(prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=options)
     wrong = replace(both, fits=(both.fits[0], *ended_too_high(replace(both, fits=both.fits[1:]), 4.0).fits))
     said = []

@@ -16,7 +16,7 @@ from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaborat
 from imr_torch.simulate import PolytropicSimulator, Solution
 from tests.linear import CORRELATED, MEANS, MODELS, NOISE, SDS, Exact, LinearSimulator, exact, experiments, prior, tensor
 
-OPTIONS = SearchOptions(scouts=24)
+OPTIONS = SearchOptions(raw_samples=24)
 CLOCK = Nuisance(time_zero=0.2)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
@@ -290,8 +290,8 @@ def test_that_a_simulator_that_always_fails_is_a_convergence_error() -> None:
     ("changes", "message"),
     [
         ({"basin_rounds": -1}, r"SearchOptions.basin_rounds is -1; expected 0 or more"),
-        ({"starts": 1}, r"2 <= starts <= scouts, got 1"),
-        ({"starts": 5, "scouts": 4}, r"2 <= starts <= scouts, got 5 and 4"),
+        ({"starts": 1}, r"2 <= starts <= raw_samples, got 1"),
+        ({"starts": 5, "raw_samples": 4}, r"2 <= starts <= raw_samples, got 5 and 4"),
         ({"iterations": 0}, r"SearchOptions.iterations is 0; expected at least 1"),
     ],
 )
@@ -320,7 +320,7 @@ def bubbles() -> tuple[Tensor, ExperimentBatch, ModelFit]:
         tuple(laboratory.shoot(tensor(w, r), seed=i) for i, (w, r) in enumerate(((500.0, 0.2), (900.0, 0.25))))
     )
     belief = Belief.prior({"nhkv": {"G": TruncatedNormal(9000.0, 4000.0, 0.0), "mu": TruncatedNormal(0.15, 0.08, 0.0)}})
-    return truth, batch, fitted(belief, batch, PolytropicSimulator(), options=SearchOptions(scouts=32, starts=2)).fits[0]
+    return truth, batch, fitted(belief, batch, PolytropicSimulator(), options=SearchOptions(raw_samples=32, starts=2)).fits[0]
 
 
 def test_that_the_gel_is_found_within_its_interval(bubbles) -> None:

@@ -47,7 +47,7 @@ def wrong_minima() -> int:
         radius = CuspedSimulator()(gel, tensor(500.0, 0.2), TIMES).radius
         data = radius + NOISE.floor * torch.randn(1, len(TIMES), generator=noise, dtype=torch.float64)
         batch = ExperimentBatch((Experiment("cusp", (500.0, 0.2), TIMES, data),), NOISE)
-        options = SearchOptions(scouts=2, starts=2)
+        options = SearchOptions(raw_samples=2, starts=2)
         fit = assimilate(prior(("nhkv",)), batch, CuspedSimulator(), seed=seed, options=options).fits[0]
         wrong += bool(((fit.mean - truth).abs() > 5.0 * torch.linalg.norm(fit.chol, dim=1)).any())
     return wrong

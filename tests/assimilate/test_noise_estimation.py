@@ -10,7 +10,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.observe import Experiment, ExperimentBatch
 from tests.linear import NOISE, LinearSimulator, prior, tensor
 
-OPTIONS = SearchOptions(scouts=24, starts=2)
+OPTIONS = SearchOptions(raw_samples=24, starts=2)
 TIMES = torch.linspace(0.0, 2.0, 60, dtype=torch.float64)
 DESIGNS = ((200.0, 0.2), (500.0, 0.25), (900.0, 0.15))
 

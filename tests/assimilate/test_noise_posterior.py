@@ -27,7 +27,7 @@ from tests.linear import CORRELATED, NOISE, LinearSimulator, exact, experiments,
 PRIOR = prior(("nhkv",))
 PART = PRIOR.models[0]
 SIMULATOR = LinearSimulator()
-OPTIONS = SearchOptions(scouts=8, starts=2)
+OPTIONS = SearchOptions(raw_samples=8, starts=2)
 UNCERTAIN = Nuisance(time_zero=0.05, rest_radius=0.05)
 LAWS = NoisePrior(NOISE)
 

@@ -12,7 +12,7 @@ from imr_torch.simulate import PolytropicSimulator
 from tests.curved import CurvedSimulator, quadrature
 from tests.linear import LinearSimulator, exact, experiments, prior, tensor
 
-OPTIONS = SearchOptions(scouts=24)
+OPTIONS = SearchOptions(raw_samples=24)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 

@@ -45,7 +45,9 @@ def nearly_central(nuisance: Nuisance | None = None) -> ExperimentBatch:
 
 def fitted(batch: ExperimentBatch):
     belief = prior(("nhkv",))
-    return assimilate(belief, batch, Circle(), seed=1, options=SearchOptions(scouts=24), starts=[STARTS], warn=False).fits[0]
+    return assimilate(belief, batch, Circle(), seed=1, options=SearchOptions(raw_samples=24), starts=[STARTS], warn=False).fits[
+        0
+    ]
 
 
 @pytest.mark.parametrize("nuisance", [None, Nuisance(time_zero=0.05)], ids=["certain", "uncertain"])
@@ -62,7 +64,7 @@ def test_that_a_crawling_fit_arrives_and_would_not_alone(monkeypatch, nuisance: 
 
 def test_that_a_fit_that_arrives_by_itself_is_left_alone(monkeypatch) -> None:
     monkeypatch.setattr(polish, "polish", lambda *_: pytest.fail("polished"))
-    found = assimilate(prior(), experiments(3), LinearSimulator(), seed=1, options=SearchOptions(scouts=24))
+    found = assimilate(prior(), experiments(3), LinearSimulator(), seed=1, options=SearchOptions(raw_samples=24))
     assert found.converged
 
 

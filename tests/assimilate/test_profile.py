@@ -16,7 +16,7 @@ SIMULATOR = PolytropicSimulator()
 def fits() -> Assimilation:
     laboratory = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=1)
     batch = ExperimentBatch((laboratory.shoot(torch.tensor([400.0, 0.22]).double(), seed=1),))
-    options = SearchOptions(scouts=16, starts=2)
+    options = SearchOptions(raw_samples=16, starts=2)
     return assimilate(wide_prior(["nhkv", "gen_qkv"]), batch, SIMULATOR, seed=0, options=options)
 
 

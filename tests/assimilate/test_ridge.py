@@ -9,7 +9,7 @@ from imr_torch.observe import Nuisance
 from tests.curved import CurvedSimulator, quadrature
 from tests.linear import LinearSimulator, experiments, prior
 
-OPTIONS = SearchOptions(scouts=24)
+OPTIONS = SearchOptions(raw_samples=24)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import Assimilation, SearchOptions, Verdict, assimilate, weigh
+from imr_torch.assimilate import Assimilation, SearchOptions, Verdict, assimilate, weigh, weighing
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.observe import ExperimentBatch, Nuisance
 from tests.curved import CurvedSimulator, quadrature
 from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
 
-OPTIONS = SearchOptions(scouts=24)
+OPTIONS = SearchOptions(raw_samples=24)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 
@@ -207,5 +207,19 @@ def test_that_later_rounds_draw_more_and_hopeless_models_get_one() -> None:
         behind = next(fit for fit in weighed.fits if fit.model != best)
         assert min(behind.sample.rounds, 2) == expected
         assert weighed[best].sample.rounds > 1
-        for fit in weighed.fits:
-            assert len(fit.sample) == 32 * 2 ** max(0, fit.sample.rounds - 2)
+        assert len(behind.sample) == 25 if expected == 1 else len(behind.sample) >= 32  # a quarter, but not fewer than 25
+        assert len(weighed[best].sample) == 32 * 2 ** max(0, weighed[best].sample.rounds - 2)
+
+
+@pytest.mark.parametrize(("best", "kept"), [(0.0, 2), (30.0, 8)])
+def test_that_a_third_round_has_more_nuisances_where_the_second_lost_most_of_its_draws(
+    simple: Assimilation, best: float, kept: int
+) -> None:
+    """One draw that outweighs all others by 30 nats leaves one effective draw."""
+    fit = weigh(simple, LinearSimulator(), seed=0).fits[0]
+    sample = replace(fit.sample, by_experiment=fit.sample.by_experiment + best * torch.eye(256, 3, dtype=torch.float64))
+    state = weighing._State(
+        replace(fit, sample=sample), proposals=[weighing.Kernels.about(fit.mean, fit.chol)], parts=[None, None]
+    )
+    drawn = weighing._draw(state, simple.batch, 256, 0, LinearSimulator())
+    assert drawn.nuisances.shape == (256, kept, 3, 3)

@@ -18,7 +18,7 @@ from imr_torch.simulate import PolytropicSimulator
 from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
 
 PLAN = Plan(times=torch.linspace(0.0, 2.0, 13, dtype=torch.float64), repeats=16, noise=NOISE, collapses=None)
-OPTIONS = SearchOptions(scouts=8, starts=2)
+OPTIONS = SearchOptions(raw_samples=8, starts=2)
 LINEAR = Arrangement(prior(("nhkv", "gen_qkv")), ((400.0, 0.2),), PLAN, samples=64, options=OPTIONS)
 
 
@@ -176,7 +176,7 @@ def test_that_bubbles_serve():
     plan = Plan(times=torch.linspace(0.0, 2.2, 45, dtype=torch.float64), repeats=20)
     part = reference_case("soft-pa").prior["nhkv"]
     soft = replace(
-        LINEAR, prior=Belief((part,), torch.zeros(1, dtype=torch.float64)), options=SearchOptions(scouts=8, starts=2)
+        LINEAR, prior=Belief((part,), torch.zeros(1, dtype=torch.float64)), options=SearchOptions(raw_samples=8, starts=2)
     )
     found = run(2, arrangement=soft, plan=plan, simulator=PolytropicSimulator())
     for replicate in found:

@@ -23,7 +23,7 @@ TIMES = torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
 SETTINGS = CampaignSettings(
     plan=Plan(times=TIMES, repeats=20),
     policy=Optimal(Laplace(draws=3, rivals=3), evaluations=5, initial=4),
-    learner=ExactLearner(32, SearchOptions(scouts=24, starts=2)),
+    learner=ExactLearner(32, SearchOptions(raw_samples=24, starts=2)),
 )
 LABORATORY = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(CASE.truth), repeats=20, times=TIMES)
 
@@ -155,5 +155,5 @@ def test_that_the_cost_of_a_known_fit_is_no_setting() -> None:
     """It is of one search: journals that know no such field go on."""
     written = [CampaignSettings(learner=ExactLearner(options=SearchOptions(rival=cost))).to_dict() for cost in (None, 7.0)]
     assert written[0] == written[1]
-    assert "scouts" in written[0]["learner"]["options"]
+    assert "raw_samples" in written[0]["learner"]["options"]
     assert "rival" not in written[0]["learner"]["options"]

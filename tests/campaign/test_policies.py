@@ -32,7 +32,7 @@ SPACE = DesignSpace(weber=(200.0, 900.0), rest_radius=(0.15, 0.25))
 PLAN = Plan(torch.linspace(0.1, 2.0, 9, dtype=torch.float64), repeats=4, noise=NOISE, collapses=None)
 LISTED = Fixed(((300.0, 0.2), (500.0, 0.16), (700.0, 0.24)))
 QUICK = Optimal(Laplace(draws=3, rivals=3), evaluations=4, initial=3)
-LEARNERS = {"exact": ExactLearner(32, SearchOptions(scouts=24)), "paper": PaperLearner(PublishedOptions(12, 2, 2))}
+LEARNERS = {"exact": ExactLearner(32, SearchOptions(raw_samples=24)), "paper": PaperLearner(PublishedOptions(12, 2, 2))}
 POLICIES_HERE = {"optimal": QUICK, "random": Random(), "space-filling": SpaceFilling(), "fixed": LISTED}
 LABORATORY = SimulatedLaboratory(
     LinearSimulator(), PARAMETERS.pack({"G": 5600.0, "mu": 0.18}), noise=NOISE, repeats=4, times=PLAN.times

@@ -26,7 +26,7 @@ from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tens
 
 SIMULATOR = LinearSimulator()
 TIMES = torch.linspace(0.1, 3.0, 30, dtype=torch.float64)
-EXACT, PAPER = ExactLearner(64, SearchOptions(scouts=24)), PaperLearner()
+EXACT, PAPER = ExactLearner(64, SearchOptions(raw_samples=24)), PaperLearner()
 TWO = ("newtonian", "nhkv")
 
 

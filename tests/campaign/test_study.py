@@ -22,7 +22,7 @@ OPTIMAL = Optimal(Laplace(draws=3, rivals=3), evaluations=4, initial=3)
 def study(folder, *, policy=OPTIMAL, truth=None) -> Study:
     simulator = LinearSimulator()
     laboratory = SimulatedLaboratory(truth or simulator, TRUTH, noise=NOISE, repeats=4, times=PLAN.times)
-    settings = CampaignSettings(DesignSpace(), PLAN, policy, ExactLearner(32, SearchOptions(scouts=24)))
+    settings = CampaignSettings(DesignSpace(), PLAN, policy, ExactLearner(32, SearchOptions(raw_samples=24)))
     return Study(folder, prior(("newtonian", "nhkv")), simulator, laboratory, settings, {"gel": "test"})
 
 

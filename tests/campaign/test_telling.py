@@ -31,7 +31,7 @@ from tests.linear import NOISE, LinearSimulator, prior, tensor
 from tests.stubs import StubLearner
 
 PLAN = Plan(torch.linspace(0.1, 2.0, 9, dtype=torch.float64), repeats=2, noise=NOISE, collapses=None)
-EXACT = ExactLearner(32, SearchOptions(scouts=24))
+EXACT = ExactLearner(32, SearchOptions(raw_samples=24))
 LABORATORY = SimulatedLaboratory(
     LinearSimulator(), PARAMETERS.pack({"G": 5600.0, "mu": 0.18}), noise=NOISE, repeats=2, times=PLAN.times
 )

@@ -19,7 +19,7 @@ from tests.linear import LinearSimulator, exact, experiments, prior, tensor
 
 pytest.importorskip("arviz_base", reason="needs the extra arviz")
 
-OPTIONS = SearchOptions(scouts=24)
+OPTIONS = SearchOptions(raw_samples=24)
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +114,7 @@ def test_that_a_belief_gives_its_draws_and_probabilities() -> None:
 def test_that_a_campaign_gives_every_step_and_the_posterior_of_the_last(tmp_path) -> None:
     case, simulator = reference_case("soft-pa"), PolytropicSimulator(stepping=Stepping(0.25))
     times = torch.linspace(0.0, 1.0, 9, dtype=torch.float64)
-    settings = CampaignSettings(plan=Plan(times=times, repeats=20), learner=ExactLearner(64, SearchOptions(scouts=24)))
+    settings = CampaignSettings(plan=Plan(times=times, repeats=20), learner=ExactLearner(64, SearchOptions(raw_samples=24)))
     campaign = Campaign(tmp_path, case.prior, simulator, settings=settings)
     laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(dict(case.truth)), repeats=20, times=times)
     campaign.tell(laboratory.shoot(tensor(300.0, 0.2), seed=0))

@@ -12,7 +12,7 @@ from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import generator
 from tests.linear import CORRELATED, NOISE, LinearSimulator, experiments, prior, tensor
 
-OPTIONS = SearchOptions(scouts=24)
+OPTIONS = SearchOptions(raw_samples=24)
 
 
 def sets(noise: Noise) -> tuple[ExperimentBatch, Tensor, Tensor]:

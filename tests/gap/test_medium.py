@@ -12,7 +12,7 @@ from imr_torch.observe import ExperimentBatch, GelMedium, Nuisance, SimulatedLab
 from imr_torch.simulate.medium import OF_MEDIUM
 
 SIMULATOR = PolytropicSimulator()
-OPTIONS = SearchOptions(scouts=24, starts=2)
+OPTIONS = SearchOptions(raw_samples=24, starts=2)
 
 
 def batch(repeats: int) -> ExperimentBatch:

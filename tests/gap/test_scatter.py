@@ -7,10 +7,10 @@ import torch
 
 from imr_torch import PolytropicSimulator
 from imr_torch.gap import GapReport, diagnose, library
-from imr_torch.gap.ladder import Ladder, Rung, left_over, with_held_out
-from imr_torch.gap.own_gels import own_gel_rungs
+from imr_torch.gap.own_gels import own_gel_steps
 from imr_torch.gap.prediction import hold_out
 from imr_torch.gap.scatter import GelScatter, gel_scatter
+from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection, left_over, with_held_out
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory
 
@@ -53,9 +53,9 @@ def test_that_gels_that_differ_are_found_and_no_gap_is_left(two_gels: tuple[GapR
 def test_that_gels_of_their_own_close_the_gap_on_curves_that_no_fit_saw(two_gels: tuple[GapReport, GelScatter]) -> None:
     """No effect of one gel does; and a held-out curve of the fitted gel is not predicted worse for it by much."""
     report, found = two_gels
-    rungs = own_gel_rungs(found, report)
-    assert [rung.name for rung in rungs] == ["gel_scatter", f"{found.rival}+gel_scatter"]
-    own, base = rungs[0], left_over(report.null, report.batch)
+    steps = own_gel_steps(found, report)
+    assert [step.name for step in steps] == ["gel_scatter", f"{found.rival}+gel_scatter"]
+    own, base = steps[0], left_over(report.null, report.batch)
     assert own.adequate
     assert own.converged
     assert own.misfit**2 < 0.1 * sum(part.misfit**2 * part.frames for part in base) / sum(part.frames for part in base)
@@ -63,8 +63,8 @@ def test_that_gels_of_their_own_close_the_gap_on_curves_that_no_fit_saw(two_gels
     fits, unseen = {"none": report.null}, ExperimentBatch(tuple(shots), report.batch.noise)
     sds = {"none": found.sds["gel_scatter"]}
     held = hold_out(fits, report.batch, SIMULATOR, seed=0, unseen=unseen, scatters=sds)
-    ladder = Ladder((Rung((), report.null, 0.0, report.gap, base),), (own,))
-    best = with_held_out(ladder, held, seed=0).own_gels[0]
+    selection = StepwiseSelection((SelectionStep((), report.null, 0.0, report.gap, base),), (own,))
+    best = with_held_out(selection, held, seed=0).own_gels[0]
     assert best.closed is not None
     assert best.log_score is not None
     assert best.closed[1] > 0.9

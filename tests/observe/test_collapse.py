@@ -61,7 +61,7 @@ def fitted(data: tuple[CollapseShot, ...], traces: TraceSet | None = None, **opt
         shots=data,
         prior=wide_prior(["nhkv"]),
         simulator=SIMULATOR,
-        options=SearchOptions(scouts=32, starts=2),
+        options=SearchOptions(raw_samples=32, starts=2),
         check=False,
         **options,
     )

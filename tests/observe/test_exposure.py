@@ -65,7 +65,7 @@ def test_that_a_stated_exposure_brings_the_fit_to_the_truth():
             prior=wide_prior(["nhkv"]),
             simulator=SIMULATOR,
             rest_radius=(0.2, 0.002),
-            options=SearchOptions(scouts=16, starts=2),
+            options=SearchOptions(raw_samples=16, starts=2),
             check=False,
         )
         found[stated] = result.assimilation.rmse("nhkv")

@@ -140,7 +140,7 @@ def fitted(curves: TraceSet, medium: str, model: str = "nhkv") -> Characterizati
         prior=wide_prior([model]),
         simulator=PolytropicSimulator(),
         rest_radius=(0.18, 0.03),
-        options=SearchOptions(scouts=24, starts=2),
+        options=SearchOptions(raw_samples=24, starts=2),
         medium=medium,
     )
 

@@ -22,7 +22,7 @@ from tests.linear import MEANS, NOISE, SDS, LinearSimulator, prior, tensor
 
 PART = prior(("nhkv",))["nhkv"]
 SCALE = 0.5
-OPTIONS = SearchOptions(scouts=16, starts=2)
+OPTIONS = SearchOptions(raw_samples=16, starts=2)
 NUISANCE = Nuisance(time_zero=0.03, rest_radius=0.05)
 
 
@@ -218,7 +218,7 @@ def polytropic() -> dict[str, Population]:
                 simulator, PARAMETERS.pack({"G": G, "mu": 0.09}), repeats=1, nuisance=Nuisance(0.003, 0.004, 0.01)
             )
             made.append(laboratory.shoot(tensor(300.0 + 20.0 * (number * 7 % 5), 0.22), seed=number, label=f"shot {number}"))
-        fits = fit_shots(part, made, simulator, rounds=0, options=replace(OPTIONS, scouts=48), samples=128)
+        fits = fit_shots(part, made, simulator, rounds=0, options=replace(OPTIONS, raw_samples=48), samples=128)
         found[name] = infer_population(fits, draws=1000)
     return found
 

@@ -38,7 +38,7 @@ def fitted(records: TraceSet, models=("nhkv",)) -> Characterization:
         prior=wide_prior(models),
         simulator=SIMULATOR,
         rest_radius=(0.2, 0.002),
-        options=SearchOptions(scouts=32, starts=3),
+        options=SearchOptions(raw_samples=32, starts=3),
         seed=1,
     )
 

@@ -39,7 +39,7 @@ def written(tmp_path_factory):
         "--html",
         str(folder / "a.html"),
     ]
-    with mock.patch.dict(METHODS, {"map": SearchOptions(scouts=16, starts=2)}):
+    with mock.patch.dict(METHODS, {"map": SearchOptions(raw_samples=16, starts=2)}):
         assert main(["characterize", str(folder / "gel.csv"), *asked, *QUICK]) == 0
     return folder
 

@@ -14,7 +14,7 @@ from imr_torch.observe import ExperimentBatch, Nuisance
 from imr_torch.select import Evidence, evidences, log_evidence, probability_errors, update
 from tests.linear import CORRELATED, MEANS, MODELS, NOISE, SDS, LinearSimulator, exact, experiments, prior, tensor
 
-OPTIONS = SearchOptions(scouts=24)
+OPTIONS = SearchOptions(raw_samples=24)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 BATCHES = {
     "one experiment": experiments(1),

@@ -12,7 +12,7 @@ from imr_torch.observe import ExperimentBatch, Nuisance
 from imr_torch.select import cross_validate, default_folds, predictive_density, sum_over_folds
 from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
 
-OPTIONS = SearchOptions(scouts=24)
+OPTIONS = SearchOptions(raw_samples=24)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 

@@ -1,9 +1,9 @@
 """How much of a gap known effects close together: effects added one after the other, whether or not they are enough.
 
 The verdict names a cause only if nothing is left unexplained. Measured curves nearly always leave something, and a laboratory
-still asks which effects close how much of it, and what remains. Each rung adds the effect of largest evidence beside those
+still asks which effects close how much of it, and what remains. Each step adds the effect of largest evidence beside those
 chosen, and drops those that it makes superfluous. In the first two steps the fits of the attribution serve; later ones fit the
-effects that a score test at the rung before ranks first. A rung is a description of the data, not a cause.
+effects that a score test at the step before ranks first. A step is a description of the data, not a cause.
 """
 
 import math
@@ -51,13 +51,13 @@ class Left:
 
 
 @dataclass(frozen=True)
-class Rung:
+class SelectionStep:
     """The base model with some effects, and what it leaves.
 
     Args:
-        effects: those that are freed; none on the lowest rung.
+        effects: those that are freed; none on the first step.
         fit: with its certificate.
-        gained: log evidence over the rung before, nats.
+        gained: log evidence over the step before, nats.
         test: the gap test at this fit.
         left: by phase, where frames exist.
         closed: lower, median and upper share of the held-out squared bias that is gone, 90 % interval; None where no design
@@ -65,8 +65,8 @@ class Rung:
         log_score: held-out log predictive density over the base model, nats, and its standard error; None likewise.
         trained: whether the fits of the held-out designs have converged.
 
-    >>> from imr_torch.gap.ladder import Left
-    >>> Left("first rebound", misfit=0.008, noise=0.003, share=0.7, frames=40).phase  # what a rung leaves there
+    >>> from imr_torch.gap.stepwise import Left
+    >>> Left("first rebound", misfit=0.008, noise=0.003, share=0.7, frames=40).phase  # what a step leaves there
     'first rebound'
     """
 
@@ -111,12 +111,12 @@ class Rung:
 
 
 @dataclass(frozen=True)
-class Ladder:
-    """The rungs from the base model to the last effect that was added.
+class StepwiseSelection:
+    """The steps from the base model to the last effect that was added.
 
     Args:
-        rungs: the base model first.
-        own_gels: rungs at which every curve has a gel of its own, where that was asked (:mod:`imr_torch.gap.own_gels`).
+        steps: the base model first.
+        own_gels: steps at which every curve has a gel of its own, where that was asked (:mod:`imr_torch.gap.own_gels`).
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -128,34 +128,34 @@ class Ladder:
     >>> laboratory = SimulatedLaboratory(simulator, gel, repeats=20)
     >>> shots = [laboratory.shoot(torch.tensor(d).double(), seed=i) for i, d in enumerate(((400.0, 0.22), (700.0, 0.16)))]
     >>> report = diagnose(shots, effects=library(["sound_speed"]), simulator=simulator)
-    >>> ladder = examine(report, simulator).ladder
-    >>> [rung.name for rung in ladder.rungs], ladder.best.adequate
+    >>> selection = examine(report, simulator).selection
+    >>> [step.name for step in selection.steps], selection.best.adequate
     (['none', 'sound_speed'], True)
     """
 
-    rungs: tuple[Rung, ...]
-    own_gels: tuple[Rung, ...] = ()
+    steps: tuple[SelectionStep, ...]
+    own_gels: tuple[SelectionStep, ...] = ()
 
     @property
-    def best(self) -> Rung:
-        """The rung that closes some of the gap on held-out designs and predicts them best; the last where none was held out.
+    def best(self) -> SelectionStep:
+        """The step that closes some of the gap on held-out designs and predicts them best; the last where none was held out.
 
-        Rungs at which every curve has a gel of its own count too.
+        Steps at which every curve has a gel of its own count too.
         """
-        if self.rungs[-1].log_score is None:
-            return self.rungs[-1]
-        all_ = (*self.rungs, *self.own_gels)
-        scores = [rung.log_score[0] if rung.log_score and rung.closed and rung.closed[1] > 0.0 else 0.0 for rung in all_]
+        if self.steps[-1].log_score is None:
+            return self.steps[-1]
+        all_ = (*self.steps, *self.own_gels)
+        scores = [step.log_score[0] if step.log_score and step.closed and step.closed[1] > 0.0 else 0.0 for step in all_]
         return all_[scores.index(max(scores))]
 
     def __str__(self) -> str:
-        """One sentence on how much the best rung closes, and what is left where."""
+        """One sentence on how much the best step closes, and what is left where."""
         last = self.best
         if not last.effects:
             return "No effect of the library closes any of the gap."
         verb = "closes" if len(last.effects) == 1 else "close"
         if last.closed is None:
-            share = f"lower the misfit in R* from {self.rungs[0].misfit:.4f} to {last.misfit:.4f}"
+            share = f"lower the misfit in R* from {self.steps[0].misfit:.4f} to {last.misfit:.4f}"
             share = share if verb == "close" else f"lowers{share[5:]}"
         else:
             low, middle, high = last.closed
@@ -171,7 +171,7 @@ class Ladder:
         )
 
 
-def climb(
+def select_stepwise(
     inquiry: Inquiry,
     null: ModelFit,
     test: GapTest,
@@ -181,7 +181,7 @@ def climb(
     most: int = 4,
     seed: int,
     progress: Progress | None = None,
-) -> Ladder:
+) -> StepwiseSelection:
     """Add effects one after the other until the fit is adequate, nothing more is gained, or there are ``most``.
 
     Args:
@@ -197,9 +197,9 @@ def climb(
     batch = inquiry.batch
     fits = {frozenset(name.split("+")) - {"none"}: fit for name, fit in known.items()}
     chosen: tuple[Effect, ...] = ()
-    rungs, left, seen = [Rung((), null, 0.0, test, left_over(null, batch))], None, {frozenset[str]()}
-    while len(chosen) < most and not rungs[-1].adequate and inquiry.beside(chosen):
-        own, before = child(seed, "rung", len(rungs)), rungs[-1]
+    steps, left, seen = [SelectionStep((), null, 0.0, test, left_over(null, batch))], None, {frozenset[str]()}
+    while len(chosen) < most and not steps[-1].adequate and inquiry.beside(chosen):
+        own, before = child(seed, "rung", len(steps)), steps[-1]
         added = _best_addition(inquiry, chosen, before.fit, left, fits, seed=own)
         if added is None or laplace_evidence(added[1]) < laplace_evidence(before.fit) + EXPLAINS:
             break
@@ -212,30 +212,30 @@ def climb(
         left = (tested or {}).get(name) if fit is known.get(name) else None
         left = left or adequacy_test(fit, inquiry.effects, batch, inquiry.simulator, seed=child(own, "adequacy"))
         gained = laplace_evidence(fit) - laplace_evidence(before.fit)
-        rungs.append(Rung(tuple(e.name for e in chosen), fit, gained, left.test, left_over(fit, batch)))
+        steps.append(SelectionStep(tuple(e.name for e in chosen), fit, gained, left.test, left_over(fit, batch)))
         if progress:
-            progress(f"ladder: {rungs[-1].name}, misfit {rungs[-1].misfit:.4f}")
-    return Ladder(tuple(rungs))
+            progress(f"stepwise selection: {steps[-1].name}, misfit {steps[-1].misfit:.4f}")
+    return StepwiseSelection(tuple(steps))
 
 
-def with_held_out(ladder: Ladder, held: Mapping[str, Sequence[HeldOut]], *, seed: int) -> Ladder:
-    """A ladder with the share of the gap that each rung closes on designs that its fits did not see.
+def with_held_out(selection: StepwiseSelection, held: Mapping[str, Sequence[HeldOut]], *, seed: int) -> StepwiseSelection:
+    """A stepwise selection with the share of the gap that each step closes on designs that its fits did not see.
 
     Args:
-        ladder: as climbed.
-        held: name of each rung -> held-out predictions (:func:`imr_torch.gap.shrinkage.hold_out`).
+        selection: judged in sample only.
+        held: name of each step -> held-out predictions (:func:`imr_torch.gap.shrinkage.hold_out`).
         seed: of the bootstrap.
     """
-    own = {rung.name: held[rung.name] for rung in (*ladder.rungs, *ladder.own_gels)}
+    own = {step.name: held[step.name] for step in (*selection.steps, *selection.own_gels)}
     _, closed = reductions(own, seed)
 
-    def judged(rung: Rung) -> Rung:
-        score = compare(own, rung.name, "none")
-        trained = all(design.converged for name in ("none", rung.name) for design in own[name])
+    def judged(step: SelectionStep) -> SelectionStep:
+        score = compare(own, step.name, "none")
+        trained = all(design.converged for name in ("none", step.name) for design in own[name])
         said = (score.difference, score.standard_error)
-        return replace(rung, closed=closed[rung.name], log_score=said, trained=trained)
+        return replace(step, closed=closed[step.name], log_score=said, trained=trained)
 
-    return Ladder((ladder.rungs[0], *map(judged, ladder.rungs[1:])), tuple(map(judged, ladder.own_gels)))
+    return StepwiseSelection((selection.steps[0], *map(judged, selection.steps[1:])), tuple(map(judged, selection.own_gels)))
 
 
 def left_over(fit: ModelFit, batch: ExperimentBatch) -> tuple[Left, ...]:

@@ -1,16 +1,15 @@
-"""The ladder of effects: it adds what explains, drops what is superfluous, stops at noise, and is judged on unseen designs."""
+"""The stepwise selection of effects: it adds what explains, drops what is superfluous, stops at noise, and is judged on unseen designs."""
 
 from dataclasses import replace
 
 import pytest
 import torch
 
-from imr_torch.gap import Ladder, Parts, describe, diagnose, examine, library, to_json
-from imr_torch.gap import ladder as ladder_module
+from imr_torch.gap import Parts, StepwiseSelection, describe, diagnose, examine, library, stepwise, to_json
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.hypotheses import Hypothesis
-from imr_torch.gap.ladder import climb, left_over
+from imr_torch.gap.stepwise import left_over, select_stepwise
 from imr_torch.material import LIBRARY
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
 
@@ -18,8 +17,8 @@ TWO = {"sound_speed": 0.5, "rinf_bias": -0.08}
 
 
 @pytest.fixture(scope="module")
-def climbed():
-    """A set with two effects, climbed with four to choose from."""
+def selected():
+    """A set with two effects, selected with four to choose from."""
     batch = shoot(TWO, DESIGNS, repeats=20)
     report = diagnose(
         list(batch.experiments), effects=library(("sound_speed", "rinf_bias", "refraction", "gas_loss")), simulator=SIMULATOR
@@ -27,9 +26,9 @@ def climbed():
     return report, examine(report, SIMULATOR)
 
 
-def test_that_two_effects_are_added_and_the_gap_is_closed_on_designs_that_no_fit_saw(climbed) -> None:
-    _, parts = climbed
-    last = parts.ladder.rungs[-1]
+def test_that_two_effects_are_added_and_the_gap_is_closed_on_designs_that_no_fit_saw(selected) -> None:
+    _, parts = selected
+    last = parts.selection.steps[-1]
     assert set(last.effects) == set(TWO)
     assert last.adequate
     assert last.converged
@@ -37,26 +36,26 @@ def test_that_two_effects_are_added_and_the_gap_is_closed_on_designs_that_no_fit
     assert 0.8 < low < middle < high < 1.05
     difference, error = last.log_score
     assert difference > 5.0 * error
-    misfits = [rung.misfit for rung in parts.ladder.rungs]
+    misfits = [step.misfit for step in parts.selection.steps]
     assert misfits == sorted(misfits, reverse=True)
-    assert "what is left is noise" in str(parts.ladder)
+    assert "what is left is noise" in str(parts.selection)
 
 
-def test_that_rungs_are_written_down(climbed) -> None:
-    report, parts = climbed
-    rungs = to_json(report, parts)["ladder"]
-    assert [rung["effects"] for rung in rungs] == [list(rung.effects) for rung in parts.ladder.rungs]
-    assert rungs[0]["closed"] is None
-    assert rungs[-1]["closed"] == list(parts.ladder.rungs[-1].closed)
-    assert set(rungs[-1]["parameters"]) == {"G", "mu", *TWO}
-    assert all(rung["converged"] for rung in rungs)
-    assert str(parts.ladder) in describe(report, parts)
+def test_that_rungs_are_written_down(selected) -> None:
+    report, parts = selected
+    steps = to_json(report, parts)["ladder"]
+    assert [step["effects"] for step in steps] == [list(step.effects) for step in parts.selection.steps]
+    assert steps[0]["closed"] is None
+    assert steps[-1]["closed"] == list(parts.selection.steps[-1].closed)
+    assert set(steps[-1]["parameters"]) == {"G", "mu", *TWO}
+    assert all(step["converged"] for step in steps)
+    assert str(parts.selection) in describe(report, parts)
 
 
-def test_that_what_is_left_and_where_is_said_of_a_rung_that_is_not_adequate(climbed) -> None:
-    ladder = climbed[1].ladder
-    last = replace(ladder.rungs[-1], test=replace(ladder.rungs[-1].test, p_value=1e-9))
-    said = str(Ladder((*ladder.rungs[:-1], last)))
+def test_that_what_is_left_and_where_is_said_of_a_rung_that_is_not_adequate(selected) -> None:
+    selection = selected[1].selection
+    last = replace(selection.steps[-1], test=replace(selection.steps[-1].test, p_value=1e-9))
+    said = str(StepwiseSelection((*selection.steps[:-1], last)))
     assert "what is left lies most in the phase" in said
     assert last.worst.phase in said
     assert "no further effect" in said
@@ -66,14 +65,14 @@ def test_that_what_explains_the_designs_it_was_fitted_to_but_no_other_closes_not
     batch = shoot({"sound_field": 0.05, "sound_frequency": 1.5, "sound_phase": 0.3}, DESIGNS, repeats=40)
     effects = library(("refraction", "surface_tension", "gas_loss"))
     report = diagnose(list(batch.experiments), effects=effects, simulator=SIMULATOR)
-    ladder = examine(report, SIMULATOR).ladder
+    selection = examine(report, SIMULATOR).selection
     assert report.verdict == "other"
-    assert ladder is not None
-    assert all(rung.gained > 3.0 for rung in ladder.rungs[1:])
-    assert not ladder.rungs[-1].adequate
-    assert ladder.best.effects == ()
-    assert str(ladder) == "No effect of the library closes any of the gap."
-    assert sum(part.share for part in ladder.rungs[-1].left) == pytest.approx(1.0)
+    assert selection is not None
+    assert all(step.gained > 3.0 for step in selection.steps[1:])
+    assert not selection.steps[-1].adequate
+    assert selection.best.effects == ()
+    assert str(selection) == "No effect of the library closes any of the gap."
+    assert sum(part.share for part in selection.steps[-1].left) == pytest.approx(1.0)
 
 
 def test_that_an_effect_which_another_makes_superfluous_is_dropped() -> None:
@@ -85,17 +84,17 @@ def test_that_an_effect_which_another_makes_superfluous_is_dropped() -> None:
     far = replace(fit(batch, Hypothesis(BASE, (right,)), gas_loss=0.2), cost=1e9)  # as if it had been left behind
     known = {"wall": alone, "gas_loss": far}
     inquiry = Inquiry(BASE, (wrong, right), batch, SIMULATOR)
-    ladder = climb(inquiry, null, test, known, seed=0)
-    assert ladder.rungs[-1].effects == ("gas_loss",)
+    selection = select_stepwise(inquiry, null, test, known, seed=0)
+    assert selection.steps[-1].effects == ("gas_loss",)
 
 
-def test_that_fits_saved_by_amplitudes_far_from_zero_change_no_rung(climbed, monkeypatch) -> None:
-    report, parts = climbed
+def test_that_fits_saved_by_amplitudes_far_from_zero_change_no_step(selected, monkeypatch) -> None:
+    report, parts = selected
     inquiry = Inquiry(BASE, tuple(LIBRARY[name] for name in report.directions), report.batch, SIMULATOR)
-    monkeypatch.setattr(ladder_module, "_CLEAR", float("inf"))  # a refit without each effect decides on every rung
-    slow = climb(inquiry, report.null, report.gap, report.fits, seed=0)
-    assert [rung.effects for rung in slow.rungs] == [rung.effects for rung in parts.ladder.rungs]
-    assert slow.rungs[-1].test.p_value == pytest.approx(parts.ladder.rungs[-1].test.p_value, rel=0.5)
+    monkeypatch.setattr(stepwise, "_CLEAR", float("inf"))  # a refit without each effect decides on every step
+    slow = select_stepwise(inquiry, report.null, report.gap, report.fits, seed=0)
+    assert [step.effects for step in slow.steps] == [step.effects for step in parts.selection.steps]
+    assert slow.steps[-1].test.p_value == pytest.approx(parts.selection.steps[-1].test.p_value, rel=0.5)
 
 
 def test_that_what_is_left_of_a_perfect_fit_is_within_its_noise() -> None:
@@ -108,7 +107,7 @@ def test_that_what_is_left_of_a_perfect_fit_is_within_its_noise() -> None:
     assert 0.0 < worst.misfit <= 0.02
 
 
-def test_that_there_is_no_ladder_without_a_gap() -> None:
+def test_that_there_is_no_selection_without_a_gap() -> None:
     batch = shoot({}, DESIGNS[:1])
     report = diagnose(list(batch.experiments), effects=library(("sound_speed",)), simulator=SIMULATOR)
     assert examine(report, SIMULATOR) == Parts()
