@@ -45,7 +45,7 @@ WIDE = "wide"
 SIMULATORS = {"polytropic": PolytropicSimulator, "full": TransportSimulator}
 UNCERTAIN = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)
 PIXELS = Noise(scale=0.2, floor=0.015)  # .003 in R* everywhere
-ANSWERS = {"gaussian": "Gaussian answer", "reported": "what is reported", "weighed": "weighed draws"}
+ANSWERS = {"gaussian": "Gaussian answer", "reported": "what is reported", "weighted": "weighted draws"}
 LEVELS = (0.5, 0.9)
 SEED = 0
 _TOLD = 50  # replicates between lines of progress
@@ -70,7 +70,7 @@ class Variant:
         noise: the truth's.
         estimated: whether the inference estimates it.
         learn: how the data are read, where not as they were made.
-        samples: weighed draws, where not the default.
+        samples: weighted draws, where not the default.
         options: how gels are fitted.
     """
 
@@ -171,7 +171,7 @@ def places(found: list[Replicate], kind: str) -> Iterator[tuple[str, list[float]
     for name in names:
         yield name, [getattr(r, kind)[name] for r in found if name in getattr(r, kind)]
     values = [r.log_likelihood for r in found if r.log_likelihood is not None]
-    if kind == "weighed" and values:
+    if kind == "weighted" and values:
         yield "log likelihood", values
 
 

@@ -91,7 +91,7 @@ def characterized(file: Path, most: int, medium: str) -> dict[str, Any]:
         seed=SEED,
     )
     document = result.to_dict()
-    for name in ("belief", "prior", "weighed_draws", "population"):
+    for name in ("belief", "prior", "weighted_draws", "population"):
         document.pop(name)
     document["cautions"] = [text.replace(f"{file.parent}/", "") for text in document["cautions"]]
     return document | {"best": result.posterior.best.model, "rest_assumed": rest is not None}

@@ -76,7 +76,7 @@ def _page(summary: BatchSummary) -> str:
 
 _MEANING = (
     "Intervals hold 90 % of the posterior of the most probable model of each shot. Those of shots that have not converged, or "
-    "whose weighed draws are not reliable (verdict refused), are orange and not to be quoted."
+    "whose weighted draws are not reliable (verdict refused), are orange and not to be quoted."
 )
 
 

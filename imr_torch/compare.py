@@ -1,8 +1,8 @@
 """Comparison of two gels from their results: do they differ, in which parameter, and by how much.
 
-The difference and the ratio of a parameter are those of all pairs of weighed draws, one of each posterior. The Bayes factor of
+The difference and the ratio of a parameter are those of all pairs of weighted draws, one of each posterior. The Bayes factor of
 one gel against two with the same prior is the integral of ``p(theta | a) p(theta | b) / p(theta)``, which Gaussian posteriors
-give in closed form; it is stated only where the weighed draws confirm both Gaussians.
+give in closed form; it is stated only where the weighted draws confirm both Gaussians.
 """
 
 import math
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, ModelBelief, material
-from imr_torch.saved import SavedCharacterization, WeighedDraws, to_dataframe
+from imr_torch.saved import SavedCharacterization, WeightedDraws, to_dataframe
 
 if TYPE_CHECKING:
     import pandas
@@ -204,7 +204,7 @@ def compare(
     return Comparison(labels, chosen, parameters, value, reason, tuple(_cautions(a, b, chosen, labels)))
 
 
-def _parameter(name: str, a: WeighedDraws, b: WeighedDraws) -> ParameterComparison:
+def _parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterComparison:
     """A parameter over all pairs of draws."""
     first, second = (draws.values[:, draws.names.index(name)] for draws in (a, b))
     weights = (a.weights[:, None] * b.weights).flatten()
@@ -215,7 +215,7 @@ def _parameter(name: str, a: WeighedDraws, b: WeighedDraws) -> ParameterComparis
 
 
 def _quantiles(values: Tensor, weights: Tensor) -> tuple[float, float, float]:
-    """5, 50 and 95 % quantile of weighed values."""
+    """5, 50 and 95 % quantile of weighted values."""
     order = values.argsort()
     below = weights[order].cumsum(0)
     places = torch.searchsorted(below, torch.tensor(LEVELS, dtype=below.dtype) * below[-1]).clamp_max(len(values) - 1)
@@ -229,9 +229,9 @@ def _cautions(a: SavedCharacterization, b: SavedCharacterization, model: str, na
         if not result.converged(model):
             found.append(f"the fit of {model} to {name} has not converged")
         if result.verdict(model) == "refused":
-            found.append(f"neither the Gaussian of {name} nor its weighed draws are reliable")
-        if not result.draws(model).weighed:
-            found.append(f"{name} holds no weighed draws, so its Gaussian approximation is drawn from")
+            found.append(f"neither the Gaussian of {name} nor its weighted draws are reliable")
+        if not result.draws(model).weighted:
+            found.append(f"{name} holds no weighted draws, so its Gaussian approximation is drawn from")
     if a.document == b.document:
         found.append("the two results are the same, so their data are not independent")
     return found
@@ -261,7 +261,7 @@ def _log_bayes_factor(a: SavedCharacterization, b: SavedCharacterization, models
                 continue
         wrong = next((x for x in (a, b) if x.verdict(key) != "trusted"), None)
         if wrong is not None:
-            return None, f"the posterior of {key} from {wrong.source} is not Gaussian by its weighed draws"
+            return None, f"the posterior of {key} from {wrong.source} is not Gaussian by its weighted draws"
         factor = _gaussian_factor(a.posterior[key], b.posterior[key], a.prior[key])
         if factor is None:
             return None, f"a posterior of {key} is hardly narrower than its prior"

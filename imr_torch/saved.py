@@ -1,4 +1,4 @@
-"""Results of :func:`imr_torch.characterize`, read from their JSON files: posterior, weighed draws, a table.
+"""Results of :func:`imr_torch.characterize`, read from their JSON files: posterior, weighted draws, a table.
 
 A result file holds all that is needed to compare gels and to go on from a posterior, not the fits themselves.
 """
@@ -25,24 +25,24 @@ _EXPECTED = "expected a result of imr-torch characterize (--json or --out)"
 
 
 @dataclass(frozen=True)
-class WeighedDraws:
+class WeightedDraws:
     """Draws of one model's parameters with their posterior weights.
 
     Args:
         names: the free parameters.
         values: ``n x d`` tensor, SI.
         weights: ``n`` tensor, sums to 1.
-        weighed: whether the weights are those of the exact posterior; if not, the draws are of its Gaussian approximation.
+        weighted: whether the weights are those of the exact posterior; if not, the draws are of its Gaussian approximation.
     """
 
     names: tuple[str, ...]
     values: Float[Tensor, "draws controls"]
     weights: Float[Tensor, "draws"]
-    weighed: bool
+    weighted: bool
 
 
 def draws_to_dict(assimilation: Assimilation) -> dict[str, Any]:
-    """The weighed draws of each model that has some, JSON-ready: ``weights`` and one list of SI values per parameter."""
+    """The weighted draws of each model that has some, JSON-ready: ``weights`` and one list of SI values per parameter."""
     found = {}
     for fit in assimilation.fits:
         if fit.sample is None:
@@ -133,17 +133,18 @@ class SavedCharacterization:
     def _model(self, model: str | None) -> Mapping[str, Any]:
         return self.document["models"][self.posterior[model or self.best].model]
 
-    def draws(self, model: str | None = None, *, seed: int = 0) -> WeighedDraws:
-        """Weighed draws of a model; of its Gaussian approximation where the file holds none.
+    def draws(self, model: str | None = None, *, seed: int = 0) -> WeightedDraws:
+        """Weighted draws of a model; of its Gaussian approximation where the file holds none.
 
         Raises:
             InputDataError: if the model is not part of the result, or its draws are incomplete.
         """
         part = self.posterior[model or self.best]
-        entry = self.document.get("weighed_draws", {}).get(part.model)
+        known = self.document.get("weighted_draws") or self.document.get("weighed_draws", {})  # the key of version 0.1.0
+        entry = known.get(part.model)
         if entry is None:
             values = part.physical(part.controls(_GAUSSIAN_DRAWS, seed=seed))
-            return WeighedDraws(part.names, values, torch.full((len(values),), 1.0 / len(values), dtype=values.dtype), False)
+            return WeightedDraws(part.names, values, torch.full((len(values),), 1.0 / len(values), dtype=values.dtype), False)
         try:
             values = torch.tensor([entry["values"][name] for name in part.names], dtype=torch.float64).mT
             weights = torch.tensor(entry["weights"], dtype=torch.float64)
@@ -151,7 +152,7 @@ class SavedCharacterization:
             raise InputDataError(f"{self.source}: draws of {part.model!r} are not whole ({error}); {_EXPECTED}.") from None
         if weights.shape != values.shape[:1] or not bool((weights >= 0.0).all()) or not float(weights.sum()) > 0.0:
             raise InputDataError(f"{self.source}: draws of {part.model!r} have no weights that fit them; {_EXPECTED}.")
-        return WeighedDraws(part.names, values, weights / weights.sum(), True)
+        return WeightedDraws(part.names, values, weights / weights.sum(), True)
 
     def rows(self) -> list[dict[str, Any]]:
         """One row per model and parameter: SI quantiles, probability and certificate of the model."""

@@ -84,7 +84,7 @@ def test_that_every_file_has_a_result_or_a_reason(shots: Path, tmp_path: Path) -
         assert row["We"] == pytest.approx(200.0, rel=0.01)
         saved = SavedCharacterization.load(tmp_path / "out" / "shots" / f"{row['shot']}.json")
         assert saved.intervals()["G"] == [row["G_low"], row["G"], row["G_high"]]
-        assert saved.draws().weighed
+        assert saved.draws().weighted
     with (tmp_path / "out" / "summary.csv").open() as stream:
         read = list(csv.DictReader(stream))
     assert [float(row["G"]) for row in read[1:]] == [row["G"] for row in summary.rows[1:]]

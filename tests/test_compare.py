@@ -1,4 +1,4 @@
-"""Comparison of two gels: closed forms for Gaussians, weighed draws as they are, and silence where there is no basis."""
+"""Comparison of two gels: closed forms for Gaussians, weighted draws as they are, and silence where there is no basis."""
 
 import json
 import math
@@ -69,10 +69,10 @@ def test_that_same_gels_are_called_the_same_and_others_different() -> None:
     assert compare(gel((0.3, 0.0), 0.9), gel((0.9, 0.0), 0.9)).verdict == "undecided"
 
 
-def test_that_parameters_are_compared_over_all_pairs_of_weighed_draws() -> None:
+def test_that_parameters_are_compared_over_all_pairs_of_weighted_draws() -> None:
     def with_draws(stiffness: list[float], weights: list[float]) -> SavedCharacterization:
         values = {"G": stiffness, "mu": [0.1] * len(stiffness)}
-        return gel((0.0, 0.0), 0.1, weighed_draws={"nhkv": {"weights": weights, "values": values}})
+        return gel((0.0, 0.0), 0.1, weighted_draws={"nhkv": {"weights": weights, "values": values}})
 
     found = compare(with_draws([1000.0, 4000.0], [0.75, 0.25]), with_draws([2000.0], [1.0]))
     assert found["G"].probability_greater == pytest.approx(0.25)
@@ -88,7 +88,7 @@ def test_that_parameters_are_compared_over_all_pairs_of_weighed_draws() -> None:
         ({"without": "prior"}, "a result does not hold its prior"),
         (
             {"models": {"nhkv": {**TRUSTED, "verdict": "repaired"}}},
-            "is not Gaussian by its weighed draws",
+            "is not Gaussian by its weighted draws",
         ),
     ],
 )
@@ -113,7 +113,7 @@ def test_that_doubtful_results_are_compared_with_a_caution() -> None:
     found = compare(gel((0.3, 0.0), 0.1, models={"nhkv": bad}), gel((0.3, 0.0), 0.1), names=("a", "b"))
     text = " ".join(found.cautions)
     assert "the fit of nhkv to a has not converged" in text
-    assert "neither the Gaussian of a nor its weighed draws are reliable" in text
+    assert "neither the Gaussian of a nor its weighted draws are reliable" in text
     same = gel((0.3, 0.0), 0.1)
     assert "their data are not independent" in " ".join(compare(same, same).cautions)
 
@@ -157,4 +157,4 @@ def test_that_results_without_a_common_model_are_refused(tmp_path: Path) -> None
 @pytest.mark.parametrize("draws", [{"weights": [1.0]}, {"weights": [1.0], "values": {"G": [1.0, 2.0], "mu": [1.0, 2.0]}}])
 def test_that_draws_that_are_not_whole_are_refused(draws: dict[str, Any]) -> None:
     with pytest.raises(InputDataError, match="draws of 'nhkv'"):
-        compare(gel((0.3, 0.0), 0.1, weighed_draws={"nhkv": draws}), gel((0.3, 0.0), 0.1))
+        compare(gel((0.3, 0.0), 0.1, weighted_draws={"nhkv": draws}), gel((0.3, 0.0), 0.1))

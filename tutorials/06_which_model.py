@@ -34,7 +34,7 @@ batch = ExperimentBatch(tuple(laboratory.shoot(design, seed=i) for i, design in 
 # %% [markdown]
 # ## Fit, and ask each fit whether to believe it
 # The *certificate* says whether the minimum was found, and found from two starts: without it no number below means anything.
-# The *verdict* comes from draws weighed by the exact posterior: `trusted` (it is Gaussian), `repaired` (it is not, and mean
+# The *verdict* comes from draws weighted by the exact posterior: `trusted` (it is Gaussian), `repaired` (it is not, and mean
 # and covariance are now those of the draws), or not to be trusted.
 
 # %%
@@ -65,7 +65,7 @@ print("errors of the probabilities:", {key: round(value, 4) for key, value in er
 # %%
 scores = cross_validate(fits, simulator, seed=0, options=options, samples=64 if SMOKE else 256)
 for score in scores:
-    how = "fitted again" if score.refitted else "reweighed"
+    how = "fitted again" if score.refitted else "reweighted"
     print(f"{score.held_out[0]:24s} {score.model:10s} {score.value:9.2f} +- {score.error:.2f} nats ({how})")
 print("in all:", {total.model: round(total.value, 1) for total in sum_over_folds(scores)})
 

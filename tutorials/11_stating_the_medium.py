@@ -31,7 +31,7 @@ print("\n".join(line for line in assumed.report().splitlines() if "assumed" in l
 
 # %% [markdown]
 # ## A density that is 3 % higher
-# Say that you weighed the gel: 1092 kg/m^3. The example gel was simulated with 1060 kg/m^3 and G = 8.31 kPa, so this is wrong.
+# Say that you weighted the gel: 1092 kg/m^3. The example gel was simulated with 1060 kg/m^3 and G = 8.31 kPa, so this is wrong.
 
 # %%
 heavier = characterize(traces, prior=prior, estimate_noise=False, options=options, medium="density=1092")

@@ -37,7 +37,7 @@ count = 12 if SMOKE else 200
 
 # %% [markdown]
 # ## My inference
-# As an example, the simplest that is right if gels abound: many gels of the prior are simulated once, each is weighed with
+# As an example, the simplest that is right if gels abound: many gels of the prior are simulated once, each is weighted with
 # the likelihood of the data, and draws are taken with these weights. `batch` holds the data, its noise and designs;
 # `simulate` is the film that they share.
 

@@ -116,10 +116,10 @@ def _calibration(figure: str, stated: Sequence[tuple[float, bool, str]]) -> list
         stated: probability, whether it came true, and the kind of the set.
     """
     kinds = [kind for _, _, kind in stated]
-    weighed = sorted(((p, hit, 1.0 / kinds.count(kind)) for p, hit, kind in stated), key=lambda own: own[0])
+    weighted = sorted(((p, hit, 1.0 / kinds.count(kind)) for p, hit, kind in stated), key=lambda own: own[0])
     rows = []
     for number in range(BINS):
-        own = weighed[number * len(weighed) // BINS : (number + 1) * len(weighed) // BINS]
+        own = weighted[number * len(weighted) // BINS : (number + 1) * len(weighted) // BINS]
         if not own:
             continue
         total = sum(w for *_, w in own)

@@ -101,7 +101,7 @@ class ModelFit:
         cost: negative log of likelihood x prior at the optimum, without the constants of the priors.
         prediction: R/Rmax at the optimum.
         certificate: whether it converged.
-        sample: draws weighed by the exact posterior; None before :func:`imr_torch.assimilate.weigh`.
+        sample: draws weighted by the exact posterior; None before :func:`imr_torch.assimilate.weigh`.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, reference_case
@@ -174,8 +174,8 @@ class ModelFit:
     def posterior(self) -> ModelBelief:
         """The belief after the data, in controls a Gaussian.
 
-        ``TRUSTED``: the fitted one with its mean and covariance corrected by the weighed draws. ``REPAIRED``: with the moments
-        of the weighed draws, and 64 of these for its shape. Else the fitted one; where the noise is uncertain, integrated over
+        ``TRUSTED``: the fitted one with its mean and covariance corrected by the weighted draws. ``REPAIRED``: with the moments
+        of the weighted draws, and 64 of these for its shape. Else the fitted one; where the noise is uncertain, integrated over
         it to first order.
         """
         if self.verdict is not Verdict.REPAIRED:
@@ -220,17 +220,17 @@ class ModelFit:
     def trust(self) -> str:
         """The verdict with its reasons and what to quote, one line."""
         if self.sample is None:
-            return "no draws were weighed: the intervals are those of a Gaussian about the optimum"
+            return "no draws were weighted: the intervals are those of a Gaussian about the optimum"
         sample = self.sample
         shape = f"k {sample.pareto_k:.2f}"
         if sample.rounds > 1:
             shape = f"k {sample.first_shape:.2f}, {sample.pareto_k:.2f} after {sample.rounds} rounds"
         shape += f", effective {sample.effective_samples:.0f} of {len(sample)}"
         if self.verdict is Verdict.TRUSTED:
-            return f"intervals trusted: weighed draws confirm the fitted Gaussian ({shape})"
+            return f"intervals trusted: weighted draws confirm the fitted Gaussian ({shape})"
         if self.verdict is Verdict.REPAIRED:
             moved = ((sample.mean - self.mean).abs() / torch.linalg.norm(self.chol, dim=1)).amax()
-            return f"intervals repaired: of weighed draws, {float(moved):.2f} sd from the fitted Gaussian at most ({shape})"
+            return f"intervals repaired: of weighted draws, {float(moved):.2f} sd from the fitted Gaussian at most ({shape})"
         return f"intervals not reliable: quote none of this model ({shape})"
 
     def nuisances_at(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch experiments 3"]:

@@ -1,6 +1,6 @@
 """Importance sampling of a posterior: one set of draws gives evidence, moments and a diagnosis of their reliability.
 
-Draws ``v`` of a heavy-tailed proposal (:mod:`imr_torch.assimilate.proposals`) are weighed by the exact posterior; the tail of
+Draws ``v`` of a heavy-tailed proposal (:mod:`imr_torch.assimilate.proposals`) are weighted by the exact posterior; the tail of
 the weights is smoothed by a generalised Pareto distribution, whose shape ``k`` says whether the mean of the weights can be
 estimated (Vehtari, Simpson, Gelman, Yao & Gabry, JMLR 25(72), 2024).
 """
@@ -60,13 +60,13 @@ def largest_shape(count: int) -> float:
 
 
 def reliable(pareto_k: float, effective_samples: float, samples: int) -> bool:
-    """Whether estimates from weighed draws are reliable."""
+    """Whether estimates from weighted draws are reliable."""
     return pareto_k <= largest_shape(samples) and effective_samples >= max(_ENOUGH, 0.1 * samples)
 
 
 @dataclass(frozen=True)
 class NoiseSample:
-    """Weighed draws under each of the noise laws over which they are integrated.
+    """Weighted draws under each of the noise laws over which they are integrated.
 
     Args:
         nodes: ``M`` laws with their prior probabilities.
@@ -96,7 +96,7 @@ class NoiseSample:
 
 @dataclass(frozen=True)
 class ImportanceSample:
-    """Weighed draws of one model's posterior.
+    """Weighted draws of one model's posterior.
 
     Args:
         controls: draws of the gel's controls ``v``.
@@ -203,7 +203,7 @@ class ImportanceSample:
 
     @cached_property
     def as_fitted(self) -> "ImportanceSample":
-        """The draws weighed with the noise that the fit was made with."""
+        """The draws weighted with the noise that the fit was made with."""
         return self if self.noise is None else replace(self, noise=None)
 
     def corrected(

@@ -1,6 +1,6 @@
 """Proposal distributions for importance sampling: Student-t mixtures about a fit, along its ridge, or about earlier draws.
 
-A proposal is made anew from the draws so far as a mixture of kernels (West, JRSS B 55, 1993), with all of them weighed by the
+A proposal is made anew from the draws so far as a mixture of kernels (West, JRSS B 55, 1993), with all of them weighted by the
 mixture of their proposals (Owen & Zhou, JASA 95, 2000).
 """
 
@@ -48,7 +48,7 @@ class Kernels:
 
     @classmethod
     def through(cls, points: Float[Tensor, "draws controls"], log_weights: Float[Tensor, "draws"]) -> "Kernels":
-        """Kernels on weighed points (``n x d``, ``n``), of the width of Silverman's rule (1986, equation 4.14).
+        """Kernels on weighted points (``n x d``, ``n``), of the width of Silverman's rule (1986, equation 4.14).
 
         One wide kernel about them all covers places without a point. Weights with an effective sample size below ten a
         dimension are tempered first, and the kernels widened in turn: such points lie at the edge of the earlier proposal, and

@@ -6,7 +6,7 @@ followed step by step (continuation by pseudo-arclength: Keller 1977), the other
 point (a profile likelihood, as in Raue et al., Bioinformatics 25, 2009), until the profile has fallen by ``_DEEP`` on both
 sides. Kernels on the points, each along and as wide as the ridge is there, are the proposal.
 
-It need not be exact, since every draw is weighed. Used for fits whose Gaussian was not confirmed.
+It need not be exact, since every draw is weighted. Used for fits whose Gaussian was not confirmed.
 """
 
 import math

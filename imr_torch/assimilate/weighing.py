@@ -1,11 +1,11 @@
 """Importance sampling of each fit's posterior: checks the Gaussian approximation, and corrects its moments where it fails.
 
-Each fit's Gaussian, with heavier tails, proposes draws that are weighed by the exact posterior. Nuisances are integrated out
+Each fit's Gaussian, with heavier tails, proposes draws that are weighted by the exact posterior. Nuisances are integrated out
 for each draw and each experiment by importance sampling from their conditional Gaussian, with heavier tails too, in opposite
 pairs, which cancels its skewness; the product over experiments is without bias (pseudo-marginal: Andrieu & Roberts, Ann. Stat.
 37, 2009). That Gaussian is at first the fit's, moved linearly with the gel, and after the first round each draw's own. A model
 whose Gaussian is not confirmed gets another round about the ridge that its posterior lies on
-(:mod:`~imr_torch.assimilate.ridge`), then with proposals made from all its weighed draws, until one is reliable.
+(:mod:`~imr_torch.assimilate.ridge`), then with proposals made from all its weighted draws, until one is reliable.
 
 Where a draw has a lower cost than the minimum, the model is fitted again from there (:mod:`~imr_torch.assimilate.lower`).
 Another mode far from all draws is not detected here, but by disagreement of the starts in the fit's certificate.
@@ -137,7 +137,7 @@ def weigh(
             made for, which after the first round are those of the fit's Gaussian.
         drop_behind: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
             evidence is, by reliable weights.
-        refit: whether a model of which a draw has a lower cost than its minimum is fitted again from there, and weighed anew.
+        refit: whether a model of which a draw has a lower cost than its minimum is fitted again from there, and weighted anew.
         noise: prior of the noise law, which is then integrated out: the likelihood of each draw is summed over the laws
             that matter (:class:`imr_torch.assimilate.NoiseNodes`). The law of the batch is taken as known when not given.
         progress: called with one line per round.
@@ -159,8 +159,8 @@ def weigh(
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
     >>> options = SearchOptions(raw_samples=16, starts=2)
     >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=options)
-    >>> weighed = weigh(fits, simulator, seed=0, samples=64)
-    >>> weighed["nhkv"].verdict.value
+    >>> weighted = weigh(fits, simulator, seed=0, samples=64)
+    >>> weighted["nhkv"].verdict.value
     'trusted'
     """
     if samples < 25 or rounds < 1:
@@ -314,10 +314,10 @@ def _drawn_laws(nodes: NoiseNodes, by_law: Tensor, uniforms: Tensor) -> Tensor:
 def _judge(fit: ModelFit, proposal: Kernels, part: _Round) -> ModelFit:
     """The fit with the draws of one round for its sample."""
     log_proposal = proposal.log_prob(part.controls)
-    weighed = part.likelihood + part.log_prior - log_proposal
-    if not bool(torch.isfinite(weighed).any()):
-        raise ConvergenceError(f"{fit.model}: none of {len(weighed)} draws could be simulated; its fit is not usable.")
-    first, rounds = (smooth(weighed)[1], 1) if fit.sample is None else (fit.sample.first_shape, fit.sample.rounds + 1)
+    weighted = part.likelihood + part.log_prior - log_proposal
+    if not bool(torch.isfinite(weighted).any()):
+        raise ConvergenceError(f"{fit.model}: none of {len(weighted)} draws could be simulated; its fit is not usable.")
+    first, rounds = (smooth(weighted)[1], 1) if fit.sample is None else (fit.sample.first_shape, fit.sample.rounds + 1)
     sample = ImportanceSample(
         controls=part.controls,
         log_prior=part.log_prior,
@@ -335,7 +335,7 @@ def _judge(fit: ModelFit, proposal: Kernels, part: _Round) -> ModelFit:
 
 
 def _again(proposals: list[Kernels], parts: list[_Round]) -> Kernels:
-    """A proposal from all draws so far, weighed by the mixture of their proposals."""
+    """A proposal from all draws so far, weighted by the mixture of their proposals."""
     controls = torch.cat([part.controls for part in parts])
     target = torch.cat([part.likelihood + part.log_prior for part in parts])
     return Kernels.through(controls, target - mixture_log_prob(proposals, [len(part.controls) for part in parts], controls))

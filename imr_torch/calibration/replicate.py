@@ -53,7 +53,7 @@ class Arrangement:
         prior: belief before the data, from which truths are drawn.
         designs: (We, R_inf*) of each experiment on a gel.
         plan: how they are observed.
-        samples: weighed draws of each model and round.
+        samples: weighted draws of each model and round.
         options: how gels are fitted, and by which method.
         learn: what the inference is given of the experiments; the data with their own noise when not given. Lets a
             wrong inference be tested, or one with less information.
@@ -85,7 +85,7 @@ class Replicate:
         number: of the replicate.
         model: the truth's.
         gaussian: for each of its parameters, probability that the fit's Gaussian gives to values below the truth.
-        weighed: the same of the weighed draws, the truth counted as one more of them.
+        weighted: the same of the weighted draws, the truth counted as one more of them.
         reported: the same of the posterior that users are given, which is the Gaussian or, where weighing repaired it, another.
         log_likelihood: the same of the log likelihood; None where nuisances are uncertain.
         z: (truth - mean)/sd of the Gaussian, in controls.
@@ -107,7 +107,7 @@ class Replicate:
     number: int
     model: str
     gaussian: dict[str, float] = field(default_factory=dict)
-    weighed: dict[str, float] = field(default_factory=dict)
+    weighted: dict[str, float] = field(default_factory=dict)
     reported: dict[str, float] = field(default_factory=dict)
     log_likelihood: float | None = None
     z: dict[str, float] = field(default_factory=dict)
@@ -221,7 +221,7 @@ def _inferred(arrangement: Arrangement, truth: _Truth, seed: int, simulator: Sim
         number=0,
         model=truth.model,
         gaussian=dict(zip(names, torch.special.ndtr(z).tolist(), strict=True)),
-        weighed={name: _place(sample, above[:, i] > 0.0, uniforms[i]) for i, name in enumerate(names)},
+        weighted={name: _place(sample, above[:, i] > 0.0, uniforms[i]) for i, name in enumerate(names)},
         reported=dict(zip(names, torch.special.ndtr(z_reported).tolist(), strict=True)),
         log_likelihood=_likelihood_place(fit, result, truth, simulator, uniforms[-1]),
         z=dict(zip(names, z.tolist(), strict=True)),
@@ -293,7 +293,7 @@ def information(result: Assimilation) -> float:
     Its mean over data is the expected information gain of the experiment (Lindley, Ann. Math. Stat. 27, 1956).
 
     Args:
-        result: weighed fits.
+        result: weighted fits.
     """
     prior = result.prior.log_probabilities
     after = torch.log_softmax(prior + torch.tensor([e.value for e in evidences(result)], dtype=torch.float64), dim=0)

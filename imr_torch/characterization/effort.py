@@ -1,11 +1,11 @@
-"""Choices of a characterisation: how far draws are weighed, and what is done about bad frames."""
+"""Choices of a characterisation: how far draws are weighted, and what is done about bad frames."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How far draws are weighed where they do not settle the intervals of a model.
+    """How far draws are weighted where they do not settle the intervals of a model.
 
     Args:
         rounds: of draws, each up to twice as many as the one before.

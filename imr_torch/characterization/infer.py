@@ -94,7 +94,7 @@ def characterize(
         scores: whether the prediction of held-out curves is scored too (each alone up to five, more in four parts), with the
             noise that was estimated from all.
         check: whether to test if the most probable model explains the curves (:func:`imr_torch.gap.check_fit`).
-        effort: how far draws are weighed where they do not settle the intervals: ``"normal"`` or ``"thorough"``, see
+        effort: how far draws are weighted where they do not settle the intervals: ``"normal"`` or ``"thorough"``, see
             ``EFFORTS``.
         medium: density, sound speed, surface tension, temperature and ambient pressure of the gel, for example
             ``"water,temperature=310,density=1125:11"`` (:mod:`imr_torch.observe.medium`); it counts before what the files
@@ -169,23 +169,26 @@ def characterize(
         bad = method.bad_frames(found)
         if frames == "robust":
             found, bad, left_out = _without_bad_frames(method, found, bad, prepared.experiments, seed)
-    weighed, evidence, posterior = found.assimilation, found.evidence, found.posterior
-    prepared = replace(prepared, experiments=tuple(e for e in weighed.batch.experiments if isinstance(e, Experiment)))
-    scored = _scores(method, weighed, child(seed, "scores")) if scores else ()
+    weighted, evidence, posterior = found.assimilation, found.evidence, found.posterior
+    prepared = replace(prepared, experiments=tuple(e for e in weighted.batch.experiments if isinstance(e, Experiment)))
+    scored = _scores(method, weighted, child(seed, "scores")) if scores else ()
     tested = _fit_test(method, found, child(seed, "check")) if check and len(traces) else None
     gels = _population(method, found, prepared.experiments, scatter_scale, child(seed, "population")) if population else None
     used = tuple(
         frame_use(trace, prepared.landmarks[trace.experiment_id], experiment, surroundings, collapses=collapses)
         for trace, experiment in zip(traces, prepared.experiments, strict=True)
     )
-    moved = medium_sensitivities(weighed[posterior.best.model], weighed.batch, simulator, medium)
-    followed = profiles_of(weighed, posterior, simulator, seed=child(seed, "profile"), progress=progress) if profile else None
-    explained = weighed.batch.noise.widened == 1.0  # a misfit cannot be told from jitter
-    jitter = find_frame_jitter(*found.best.of_curves(weighed.batch), simulator) if check and len(traces) and explained else None
+    moved = medium_sensitivities(weighted[posterior.best.model], weighted.batch, simulator, medium)
+    own = child(seed, "profile")
+    followed = profiles_of(weighted, posterior, simulator, seed=own, progress=progress) if profile else None
+    explained = weighted.batch.noise.widened == 1.0  # a misfit cannot be told from jitter
+    jitter = (
+        find_frame_jitter(*found.best.of_curves(weighted.batch), simulator) if check and len(traces) and explained else None
+    )
     seconds = time.process_time() - started
     return Characterization(
         prepared,
-        weighed,
+        weighted,
         evidence,
         posterior,
         seconds,
@@ -204,7 +207,7 @@ def characterize(
 
 @dataclass(frozen=True)
 class _Found:
-    """Fits with weighed draws, and what follows from them."""
+    """Fits with weighted draws, and what follows from them."""
 
     assimilation: Assimilation
     evidence: tuple[Evidence, ...]
@@ -236,7 +239,7 @@ class _Method:
         return NOISE_ROUNDS if self.estimate_noise else 0
 
     def fitted(self, data: Sequence[Experiment | CollapseTime], near: Assimilation | None, seed: int) -> _Found:
-        """All models fitted to data, with weighed draws; from fits nearby where they are given."""
+        """All models fitted to data, with weighted draws; from fits nearby where they are given."""
         fits = assimilate_estimating_noise(
             self.prior,
             ExperimentBatch(tuple(data), self.noise),
@@ -251,7 +254,7 @@ class _Method:
         best = min(fits.fits, key=lambda fit: fit.cost)
         estimated = self.integrate_noise and fits.batch.noise.widened == 1.0 and determines_noise(best, fits.batch)
         uncertain = NoisePrior(self.noise) if estimated else None
-        weighed = weigh(
+        weighted = weigh(
             fits,
             self.simulator,
             seed=child(seed, "weigh"),
@@ -260,8 +263,8 @@ class _Method:
             noise=uncertain,
             progress=self.progress,
         )
-        evidence = evidences(weighed)
-        return _Found(weighed, evidence, update(weighed, evidence))
+        evidence = evidences(weighted)
+        return _Found(weighted, evidence, update(weighted, evidence))
 
     def tested(self, fit: ModelFit, batch: ExperimentBatch, seed: int) -> FitTest:
         """Whether a fit explains the curves."""
@@ -288,10 +291,10 @@ def _without_bad_frames(
     return found, bad, left_out
 
 
-def _scores(method: _Method, weighed: Assimilation, seed: int) -> tuple[PredictiveScore, ...]:
+def _scores(method: _Method, weighted: Assimilation, seed: int) -> tuple[PredictiveScore, ...]:
     """How well each model predicts curves that were held out."""
     options = method.options if isinstance(method.options, SearchOptions) else None
-    return sum_over_folds(cross_validate(weighed, method.simulator, seed=seed, options=options, progress=method.progress))
+    return sum_over_folds(cross_validate(weighted, method.simulator, seed=seed, options=options, progress=method.progress))
 
 
 def _fit_test(method: _Method, found: _Found, seed: int) -> FitTest:

@@ -162,7 +162,7 @@ class Characterization:
             "profiles": profiles_document(self.profiles),
             "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),
-            "weighed_draws": draws_to_dict(self.assimilation),
+            "weighted_draws": draws_to_dict(self.assimilation),
             "cpu_seconds": self.seconds,
         }
 
@@ -177,7 +177,7 @@ class Characterization:
 
     @staticmethod
     def load(path: str | Path) -> SavedCharacterization:
-        """Read a result that :meth:`save` or the command line wrote: posterior, intervals, weighed draws, a table.
+        """Read a result that :meth:`save` or the command line wrote: posterior, intervals, weighted draws, a table.
 
         Raises:
             InputDataError: if the file cannot be read, or holds no such result.

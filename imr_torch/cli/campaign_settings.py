@@ -9,6 +9,7 @@ import torch
 
 from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.campaign import (
+    PAPER_OPTIMAL,
     CampaignSettings,
     DesignPolicy,
     ExactLearner,
@@ -38,7 +39,8 @@ def settings_of(args: argparse.Namespace) -> CampaignSettings:
     if args.method != "paper":
         rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
         base = replace(base, learner=ExactLearner(options=METHODS[_FITS[args.method]], noise_rounds=rounds))
-    policy, space, plan = _policy(args.policy, base.policy, args.evaluations), space_of(args), plan_of(args)
+    policy = _optimal(args) if args.policy == "optimal" else _baseline(args.policy)
+    space, plan = space_of(args), plan_of(args)
     if args.goal == "cause":
         learner = CauseLearner(_effect_names(args), estimate_noise=not args.case)
         base = replace(base, learner=learner)
@@ -47,7 +49,7 @@ def settings_of(args: argparse.Namespace) -> CampaignSettings:
     if args.goal == "population":
         learner = PopulationLearner(noise_rounds=0 if args.case else NOISE_ROUNDS)
         base = replace(base, learner=learner)
-        policy = LearnPopulation(learner, policy) if isinstance(policy, Optimal) else policy
+        policy = LearnPopulation(learner, _optimal(args)) if args.policy == "optimal" else policy
         plan = replace(plan, repeats=1) if args.repeats is None else plan  # a repeat would be of the same gel
     if isinstance(policy, Fixed):
         space.check(torch.tensor(policy.designs, dtype=torch.float64))
@@ -147,11 +149,14 @@ def _effect_names(args: argparse.Namespace) -> tuple[str, ...]:
     return names
 
 
-def _policy(text: str, optimal: DesignPolicy, evaluations: int) -> DesignPolicy:
+def _optimal(args: argparse.Namespace) -> Optimal:
+    """The search for the most informative design, of the size that the options ask for."""
+    search = PAPER_OPTIMAL if args.method == "paper" else Optimal()
+    return replace(search, evaluations=args.evaluations, initial=min(search.initial, args.evaluations))
+
+
+def _baseline(text: str) -> DesignPolicy:
     """The policy of a name, or of a list of designs."""
-    if text == "optimal":
-        assert isinstance(optimal, Optimal)
-        return replace(optimal, evaluations=evaluations, initial=min(optimal.initial, evaluations))
     if text in _BASELINES:
         return _BASELINES[text]()
     if ":" not in text:

@@ -103,7 +103,7 @@ class _Sampled(InformationEstimator):
     ) -> tuple[Tensor, Tensor]:
         """Log mean of importance weights for each datum, and its relative variance.
 
-        The proposal is a mixture, sampled in fixed proportion and weighed by its whole density (Owen & Zhou, J. Am. Stat.
+        The proposal is a mixture, sampled in fixed proportion and weighted by its whole density (Owen & Zhou, J. Am. Stat.
         Assoc. 95, 2000): the Gauss-Newton posterior; a wider one, which bounds the weights of a curved posterior; and, where
         the datum's own gel counts among the samples, the belief, so that a proposal in the wrong place costs some nats at most.
 

@@ -1,7 +1,7 @@
 """Posteriors as an ArviZ tree, for its plots and diagnostics, and as a netCDF file that any language reads.
 
 One branch per model, each with the groups of the ArviZ schema, so that ``tree["nhkv"]`` is what its functions take. Draws
-come from the weighed sample of a fit, resampled to equal weight; from its Gaussian where it has none. The log likelihood is
+come from the weighted sample of a fit, resampled to equal weight; from its Gaussian where it has none. The log likelihood is
 that of whole experiments, so that ArviZ's leave-one-out leaves out an experiment. With a simulator there is a branch ``frames``
 below each model, ``tree["nhkv/frames"]``, for LOO-PIT and predictive checks of single frames (:mod:`imr_torch.export.frames`).
 Needs the extra ``imr-torch[arviz]``.
@@ -42,7 +42,7 @@ def to_arviz(
             its belief if it was read back from its journal), and a branch ``campaign`` with every step.
         seed: of the draws.
         draws: draws per model.
-        simulator: the one that the posterior was made with, for the branch ``frames`` of each weighed model: one bubble a draw
+        simulator: the one that the posterior was made with, for the branch ``frames`` of each weighted model: one bubble a draw
             and experiment (two engines give the same); None: without it.
 
     Returns:

@@ -67,11 +67,11 @@ def check_evidence(
     own = tuple(fits[name] for name in near)
     belief = Belief(tuple(fit.prior for fit in own), torch.zeros(len(own), dtype=torch.float64))
     try:
-        weighed = weigh(Assimilation(belief, batch, own), simulator, seed=seed, samples=_SAMPLES, rounds=1, refit=False)
+        weighted = weigh(Assimilation(belief, batch, own), simulator, seed=seed, samples=_SAMPLES, rounds=1, refit=False)
     except ConvergenceError:
         return {}
     found = {}
-    for name, fit in zip(near, weighed.fits, strict=True):
+    for name, fit in zip(near, weighted.fits, strict=True):
         assert fit.sample is not None
         sampled = fit.sample.log_evidence - _offset(fit, batch)
         error = fit.sample.log_evidence_error

@@ -1,6 +1,6 @@
 """What one more shot would tell about the cause, before it is shot: the expected probability of the truth.
 
-Data are made of every cause at draws of its posterior, with the noise and the nuisances of the plan, and each datum is weighed
+Data are made of every cause at draws of its posterior, with the noise and the nuisances of the plan, and each datum is weighted
 under every cause: evidence of the linearised model, at the gel that explains the datum best (Gauss-Newton steps). An unknown
 effect that looks like the leading one is the leading one with a reference effect beside it (an effect of the library or a law
 of the state), each effect as likely as the next. Beside the leader's fit a reference of typical size changes the present data

@@ -22,7 +22,7 @@ from imr_torch.material import LogNormal, ModelBelief
 from imr_torch.population.likelihood import ShotLikelihood
 from imr_torch.population.quadrature import MOST
 from imr_torch.population.result import BayesFactor, Population, ScaleCheck, Trend, scatter_interval
-from imr_torch.population.sampling import Problem, WeighedPopulation, jackknife_error, sample_population
+from imr_torch.population.sampling import Problem, WeightedPopulation, jackknife_error, sample_population
 from imr_torch.random import child, generator
 from imr_torch.threads import one_torch_thread
 
@@ -45,7 +45,7 @@ def infer_population(
     """Infer median, scatter and every shot's own values.
 
     Args:
-        fits: one weighed assimilation of one model per shot, as of :func:`fit_shots`.
+        fits: one weighted assimilation of one model per shot, as of :func:`fit_shots`.
         varying: parameters that may differ from shot to shot, all when not given; the others are the same in all.
         scale: of the half-normal prior of the scatters.
         draws: of population, scatters and shots; half as many for each evidence.
@@ -146,7 +146,7 @@ def _checked(fits: Sequence[Assimilation], varying: Sequence[str] | None, scale:
     return prior
 
 
-class _Evidences(dict[tuple[int, ...], WeighedPopulation]):
+class _Evidences(dict[tuple[int, ...], WeightedPopulation]):
     """Draws for each set of columns that vary, the empty one among them."""
 
     def contrast(self, above: list[tuple[int, ...]], below: list[tuple[int, ...]]) -> BayesFactor:

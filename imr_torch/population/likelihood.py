@@ -1,6 +1,6 @@
-"""The likelihood of one shot as a smooth function of its gel, from the weighed draws of its own posterior.
+"""The likelihood of one shot as a smooth function of its gel, from the weighted draws of its own posterior.
 
-A population much narrower than a shot's posterior lies between that shot's draws, so the draws themselves cannot be weighed
+A population much narrower than a shot's posterior lies between that shot's draws, so the draws themselves cannot be weighted
 again by it. Here the log likelihood is a quadratic (the Gaussian about the shot's fit, its prior divided out) plus a polynomial
 that is fitted robustly to what the quadratic misses at the draws, nuisances integrated out. The polynomial's degree is that of
 the smallest leave-one-out error; farther out than the draws it is continued as a constant. Its Monte Carlo error comes from the
@@ -84,14 +84,14 @@ class ShotLikelihood:
 
     @classmethod
     def of(cls, label: str, fit: ModelFit) -> "ShotLikelihood":
-        """From the weighed draws of a fit to this shot alone.
+        """From the weighted draws of a fit to this shot alone.
 
         Raises:
-            InputDataError: if the fit has no weighed draws.
+            InputDataError: if the fit has no weighted draws.
         """
         sample = fit.sample
         if sample is None:
-            raise InputDataError(f"The fit of {fit.model!r} to {label!r} has no weighed draws; pass it through `weigh` first.")
+            raise InputDataError(f"The fit of {fit.model!r} to {label!r} has no weighted draws; pass it through `weigh` first.")
         possible = torch.isfinite(sample.by_experiment.sum(1))
         likelihood = sample.by_experiment.sum(1)[possible]
         controls = fit.prior.unwhitened(sample.controls[possible])

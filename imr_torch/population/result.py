@@ -13,7 +13,7 @@ from imr_torch.labels import plain
 from imr_torch.material import LogNormal, ModelBelief, Parameter, material
 from imr_torch.observe import Noise
 from imr_torch.population.likelihood import ShotLikelihood
-from imr_torch.population.sampling import WeighedPopulation
+from imr_torch.population.sampling import WeightedPopulation
 from imr_torch.random import child, generator
 
 LEVELS = (0.05, 0.5, 0.95)
@@ -95,7 +95,7 @@ class Population:
         varying: parameters that may differ from shot to shot.
         units: what a control of 1 is in the coordinate whose scatter is stated.
         scale: of the half-normal prior of the scatters.
-        found: weighed draws of centre, scatters and shots.
+        found: weighted draws of centre, scatters and shots.
         log_evidence: of all data with every parameter of ``varying`` scattered, nats.
         any_scatter: evidence of scatter of any parameter against none.
         by_parameter: evidence of scatter of each parameter against none of it, whatever else varies.
@@ -124,7 +124,7 @@ class Population:
     varying: tuple[str, ...]
     units: Float[Tensor, "controls"]
     scale: float
-    found: WeighedPopulation
+    found: WeightedPopulation
     log_evidence: float
     any_scatter: BayesFactor
     by_parameter: Mapping[str, BayesFactor]
@@ -326,14 +326,14 @@ def scatter_words(prior: ModelBelief, name: str, interval: Interval) -> str:
     return f"standard deviation between shots of {scatter_of(prior, name)}: {middle:.3f} (90 %: {low:.3f} to {high:.3f})"
 
 
-def scatter_interval(found: WeighedPopulation, column: int, units: Float[Tensor, "controls"]) -> Interval:
+def scatter_interval(found: WeightedPopulation, column: int, units: Float[Tensor, "controls"]) -> Interval:
     """5, 50, 95 % quantile of one scatter."""
     low, middle, high = quantiles(found.scatter[:, column] * units[column], found.weights)
     return low, middle, high
 
 
 def quantiles(values: Float[Tensor, "draws"], weights: Float[Tensor, "draws"], levels: Sequence[float] = LEVELS) -> list[float]:
-    """Quantiles of weighed draws, interpolated between them."""
+    """Quantiles of weighted draws, interpolated between them."""
     order = values.argsort()
     below = weights[order].cumsum(0) - 0.5 * weights[order]
     wanted = torch.tensor(levels, dtype=values.dtype)

@@ -1,4 +1,4 @@
-"""Draws of population, scatter and shots, weighed by the smooth likelihoods of the shots.
+"""Draws of population, scatter and shots, weighted by the smooth likelihoods of the shots.
 
 The proposal is the closed form of Gaussian shots: a cell of a grid over the scatters by its probability there, the scatter
 uniform within it, the population's centre from its Gaussian with heavier tails, each shot from its own Gaussian given both. A
@@ -65,7 +65,7 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class WeighedPopulation:
+class WeightedPopulation:
     """Draws of a population's posterior.
 
     Args:
@@ -131,8 +131,8 @@ def jackknife_error(values: Float[Tensor, "groups"]) -> float:
     return float(((len(values) - 1) * values.var(correction=0)).sqrt())
 
 
-def sample_population(problem: Problem, draws: int, source: torch.Generator) -> WeighedPopulation:
-    """Weighed draws, with Gaussian parts that are fitted again as long as that helps."""
+def sample_population(problem: Problem, draws: int, source: torch.Generator) -> WeightedPopulation:
+    """Weighted draws, with Gaussian parts that are fitted again as long as that helps."""
     gaussian = problem.gaussian
     best = _sample(problem, gaussian, draws, source)
     for number in range(1, _REFITS + 1):
@@ -141,16 +141,16 @@ def sample_population(problem: Problem, draws: int, source: torch.Generator) -> 
         gaussian = _fitted_again(problem, best)
         other = _sample(problem, gaussian, draws, source)
         if other.effective_samples > best.effective_samples:
-            best = WeighedPopulation(other.scatter, other.centre, other.shots, other.log_weights, number)
+            best = WeightedPopulation(other.scatter, other.centre, other.shots, other.log_weights, number)
     return best
 
 
-def _sample(problem: Problem, gaussian: GaussianShots, draws: int, source: torch.Generator) -> WeighedPopulation:
+def _sample(problem: Problem, gaussian: GaussianShots, draws: int, source: torch.Generator) -> WeightedPopulation:
     """Draws from the closed form of Gaussian shots, and their weights."""
     scatter, log_ratio = _scatters(problem, gaussian, draws, source)
     parts = [_given(problem, gaussian, rows, source) for rows in scatter.split(_CHUNK)]
     centre, shots, log_weights = (torch.cat(x) for x in zip(*parts, strict=True))
-    return WeighedPopulation(scatter, centre, shots, log_weights + log_ratio[:, None])
+    return WeightedPopulation(scatter, centre, shots, log_weights + log_ratio[:, None])
 
 
 def _scatters(problem: Problem, gaussian: GaussianShots, draws: int, source: torch.Generator) -> tuple[Tensor, Tensor]:
@@ -197,7 +197,7 @@ def _quadratic(controls: Tensor, precision: Tensor, linear: Tensor) -> Tensor:
     return controls @ linear - 0.5 * (controls * (controls @ precision)).sum(-1)
 
 
-def _fitted_again(problem: Problem, found: WeighedPopulation) -> GaussianShots:
+def _fitted_again(problem: Problem, found: WeightedPopulation) -> GaussianShots:
     """Quadratics fitted to the likelihoods of the shots at the draws of each, with tempered weights."""
     size, power = len(problem.scale), 1.0
     logs = found.log_weights[:, 0]

@@ -1,4 +1,4 @@
-"""Every shot fitted on its own, with one law of the noise for all, and its posterior weighed by draws.
+"""Every shot fitted on its own, with one law of the noise for all, and its posterior weighted by draws.
 
 The noise is estimated from the residuals of these fits and not from a common one, in which shots that differ would look like
 noise. The cost is linear in the number of shots.
@@ -51,7 +51,7 @@ def fit_shots(
         progress: called with one line per shot.
 
     Returns:
-        One weighed assimilation per experiment, all with the same noise.
+        One weighted assimilation per experiment, all with the same noise.
 
     Raises:
         InputDataError: without experiments, or for two of one label.
@@ -92,12 +92,12 @@ def fit_shots(
             current = shared_noise(fits, law)
             if progress:
                 progress(f"noise {current}")
-    weighed = []
+    weighted = []
     for fit, label in zip(fits, labels, strict=True):
-        weighed.append(weigh(fit, simulator, seed=child(seed, "weigh", label), samples=samples))
+        weighted.append(weigh(fit, simulator, seed=child(seed, "weigh", label), samples=samples))
         if progress:
-            progress(f"draws: {label}, {len(weighed)}/{len(labels)}, {weighed[-1].fits[0].trust}")
-    return tuple(weighed)
+            progress(f"draws: {label}, {len(weighted)}/{len(labels)}, {weighted[-1].fits[0].trust}")
+    return tuple(weighted)
 
 
 def shared_noise(fits: Sequence[Assimilation], law: Noise) -> Noise:

@@ -1,7 +1,7 @@
 """Model evidence: the probability of the data under a model, with its Monte Carlo error.
 
 ``log p(y) = log int p(y | v, w) p(v) p(w) dv dw`` over the gel and the nuisances, from the draws that
-:func:`imr_torch.assimilate.weigh` has weighed by the exact posterior; the same draws give moments and verdict.
+:func:`imr_torch.assimilate.weigh` has weighted by the exact posterior; the same draws give moments and verdict.
 """
 
 import math
@@ -51,7 +51,7 @@ def log_evidence(fit: ModelFit) -> Evidence:
     """Evidence of a fitted model.
 
     Args:
-        fit: a fit whose draws have been weighed.
+        fit: a fit whose draws have been weighted.
 
     Raises:
         InputDataError: if they have not.
@@ -67,13 +67,13 @@ def log_evidence(fit: ModelFit) -> Evidence:
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
     >>> options = SearchOptions(raw_samples=16, starts=2)
     >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=options)
-    >>> weighed = weigh(fits, simulator, seed=0, samples=64)
-    >>> log_evidence(weighed["nhkv"]).model, log_evidence(weighed["nhkv"]).trusted
+    >>> weighted = weigh(fits, simulator, seed=0, samples=64)
+    >>> log_evidence(weighted["nhkv"]).model, log_evidence(weighted["nhkv"]).trusted
     ('nhkv', True)
     """
     sample = fit.sample
     if sample is None:
-        raise InputDataError(f"The fit of {fit.model!r} has no weighed draws; pass its assimilation through `weigh` first.")
+        raise InputDataError(f"The fit of {fit.model!r} has no weighted draws; pass its assimilation through `weigh` first.")
     return Evidence(
         fit.model,
         sample.log_evidence,
@@ -98,7 +98,7 @@ def _error(fit: ModelFit, sample: ImportanceSample) -> float:
 
 
 def evidences(assimilation: Assimilation) -> tuple[Evidence, ...]:
-    """Evidence of every model of a weighed assimilation; see :func:`log_evidence`.
+    """Evidence of every model of a weighted assimilation; see :func:`log_evidence`.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, reference_case

@@ -1,7 +1,7 @@
 """Predictive scores: the log density that a model fitted to some experiments gives to held-out ones.
 
 Evidence measures how well prior and model predict all data, and so depends on the prior's width; a held-out score measures how
-well the posterior given some experiments predicts the others. Leaving some out of a weighed fit needs no simulation while the
+well the posterior given some experiments predicts the others. Leaving some out of a weighted fit needs no simulation while the
 weights allow it (Pareto-smoothed leave-one-out: Vehtari, Gelman & Gabry, Stat. Comput. 27, 2017, with whole experiments for
 single data); where they do not, the fit is made again without them.
 """
@@ -127,7 +127,7 @@ def cross_validate(
     """Score every model on each fold of the experiments, learning from the others.
 
     Args:
-        assimilation: weighed fits to all experiments.
+        assimilation: weighted fits to all experiments.
         simulator: the simulator they were made with, for refits.
         seed: of refits, which start where the whole fit ended.
         folds: indices of the experiments that are held out together; :func:`default_folds` when not given.
@@ -139,7 +139,7 @@ def cross_validate(
         One score per fold and model, models within folds; see :func:`sum_over_folds`.
 
     Raises:
-        InputDataError: if the fits are not weighed, or a fold is empty or holds all experiments.
+        InputDataError: if the fits are not weighted, or a fold is empty or holds all experiments.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, reference_case, wide_prior
@@ -221,7 +221,7 @@ def _restricted(assimilation: Assimilation, models: Sequence[int], experiments: 
 
 def _leave_out(fit: ModelFit, batch: ExperimentBatch, fold: Sequence[int]) -> tuple[PredictiveScore, bool]:
     """Score by the weights of the whole fit over the likelihood of the fold, and whether those weights are reliable."""
-    log_evidence(fit)  # says what to do where the fit is not weighed
+    log_evidence(fit)  # says what to do where the fit is not weighted
     sample = fit.sample
     assert sample is not None
     seen = sample.without(fold)
@@ -234,7 +234,7 @@ def _leave_out(fit: ModelFit, batch: ExperimentBatch, fold: Sequence[int]) -> tu
 
 
 def _log_ratio(weights: Tensor, log_values: Tensor) -> tuple[float, float]:
-    """Log of the weighed mean of values given by their logarithm, and its standard error (delta method)."""
+    """Log of the weighted mean of values given by their logarithm, and its standard error (delta method)."""
     joint = weights.log() + torch.where(weights > 0.0, log_values, 0.0)
     tilted = torch.softmax(joint, dim=0)
     return float(torch.logsumexp(joint, dim=0)), float((tilted - weights).norm())

@@ -31,8 +31,8 @@ def update(assimilation: Assimilation, evidence: Sequence[Evidence]) -> Belief:
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
     >>> options = SearchOptions(raw_samples=16, starts=2)
     >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=options)
-    >>> weighed = weigh(fits, simulator, seed=0, samples=64)
-    >>> update(weighed, evidences(weighed)).best.model
+    >>> weighted = weigh(fits, simulator, seed=0, samples=64)
+    >>> update(weighted, evidences(weighted)).best.model
     'nhkv'
     """
     _check(assimilation.prior, evidence)

@@ -73,7 +73,7 @@ def test_that_the_same_seed_gives_the_same_bits() -> None:
 
 
 @pytest.mark.parametrize("number", range(10))
-def test_that_its_posterior_agrees_with_the_default_once_weighed(number: int) -> None:
+def test_that_its_posterior_agrees_with_the_default_once_weighted(number: int) -> None:
     """Ten gels of the soft-PA prior, designs and nuisances drawn: means within a third of an sd, sds within a quarter."""
     part = reference_case("soft-pa").prior.models[0]
     belief, source = Belief((part,), tensor(0.0)), generator(child(0, number))

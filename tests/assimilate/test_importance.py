@@ -38,8 +38,8 @@ def test_that_draws_have_the_moments_of_the_density() -> None:
     torch.testing.assert_close(torch.cov(draws.mT), inner + tensor([4.0, 1.0], [1.0, 0.25]), rtol=0.02, atol=0.01)
 
 
-def test_that_kernels_through_weighed_points_follow_the_weighed_density() -> None:
-    """Uniform points weighed to a Gaussian: half are narrow kernels on them, half is one wide kernel."""
+def test_that_kernels_through_weighted_points_follow_the_weighted_density() -> None:
+    """Uniform points weighted to a Gaussian: half are narrow kernels on them, half is one wide kernel."""
     points = 10.0 * torch.rand(4000, 2, generator=generator(2), dtype=torch.float64) - 5.0
     proposal = Kernels.through(points, -0.5 * (points - tensor(1.0, 0.0)).square().sum(1))
     draws = proposal.draw(50_000, generator(3))
@@ -168,7 +168,7 @@ def test_that_draws_correct_the_gaussian_about_the_mode_of_a_skewed_posterior() 
     shape, zero = 8.0, torch.zeros(1, dtype=torch.float64)
     mode, chol = torch.log(tensor(shape)), tensor([shape**-0.5])
     mean, sd = special.digamma(shape), special.polygamma(1, shape) ** 0.5
-    found, weighed = [], []
+    found, weighted = [], []
     for seed in range(200):
         proposal = Kernels.about(mode, chol)
         draws = proposal.draw(256, generator(seed))
@@ -177,8 +177,8 @@ def test_that_draws_correct_the_gaussian_about_the_mode_of_a_skewed_posterior() 
         sample = ImportanceSample(draws, 0.0 * target[:, 0], target, proposal.log_prob(draws), still, zero, chol, 0.0, 1)
         centre, scale = sample.corrected(mode, chol)
         found.append((float(centre), float(scale)))
-        weighed.append((float(sample.mean), float(sample.covariance.sqrt())))
-    moments, plain = tensor(*found), tensor(*weighed)
+        weighted.append((float(sample.mean), float(sample.covariance.sqrt())))
+    moments, plain = tensor(*found), tensor(*weighted)
     assert abs(float(mode) - mean) > 0.15 * sd  # what is to be corrected
     torch.testing.assert_close(moments.mean(0), tensor(mean, sd), rtol=0.0, atol=0.01 * sd)
     assert bool((moments.std(0) < 0.8 * plain.std(0)).all())

@@ -59,13 +59,13 @@ def test_that_a_fit_that_only_looks_too_high_is_not_made_again(right: Assimilati
     """Too narrow a Gaussian of the nuisances makes all draws look more probable than the optimum; their costs are not lower."""
     fit, said = right.fits[0], []
     narrow = replace(right, fits=(replace(fit, nuisance_chol=2.0 * fit.nuisance_chol),))
-    weighed = weigh(narrow, LinearSimulator(), seed=0, progress=said.append).fits[0]
+    weighted = weigh(narrow, LinearSimulator(), seed=0, progress=said.append).fits[0]
     assert not any(line.startswith("assimilation") for line in said)
-    assert weighed.cost == fit.cost
-    assert weighed.sample.rounds == 2
+    assert weighted.cost == fit.cost
+    assert weighted.sample.rounds == 2
 
 
-def test_that_a_minimum_that_is_not_lower_is_not_taken_and_the_fit_is_weighed_to_the_end(
+def test_that_a_minimum_that_is_not_lower_is_not_taken_and_the_fit_is_weighted_to_the_end(
     right: Assimilation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However often the draws promise one."""
@@ -79,22 +79,22 @@ def test_that_a_minimum_that_is_not_lower_is_not_taken_and_the_fit_is_weighed_to
     monkeypatch.setattr("imr_torch.assimilate.weighing._REFITS", 1)
     fit, said = right.fits[0], []
     narrow = replace(right, fits=(replace(fit, nuisance_chol=2.0 * fit.nuisance_chol),))
-    weighed = weigh(narrow, LinearSimulator(), seed=0, progress=said.append).fits[0]
+    weighted = weigh(narrow, LinearSimulator(), seed=0, progress=said.append).fits[0]
     assert sum(line.startswith("assimilation: iteration 1,") for line in said) == len(promised) == 1
-    assert weighed.cost == fit.cost
-    assert weighed.sample.rounds == 2
+    assert weighted.cost == fit.cost
+    assert weighted.sample.rounds == 2
 
 
-def test_that_a_model_fitted_again_is_weighed_beside_others_whose_rounds_are_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_that_a_model_fitted_again_is_weighted_beside_others_whose_rounds_are_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
     """All rounds are made; the third has several nuisances to a draw, of which one is kept in proportion to its weight."""
     monkeypatch.setattr("imr_torch.assimilate.weighing._State.refused", True)
     batch, options = experiments(3, nuisance=BOTH), SearchOptions(raw_samples=24, starts=2)
     both = assimilate(prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=options)
     wrong = replace(both, fits=(both.fits[0], *ended_too_high(replace(both, fits=both.fits[1:]), 4.0).fits))
     said = []
-    weighed = weigh(wrong, LinearSimulator(), seed=0, samples=1024, rounds=3, progress=said.append)
+    weighted = weigh(wrong, LinearSimulator(), seed=0, samples=1024, rounds=3, progress=said.append)
     assert sum(line.startswith("draws: round") for line in said) == 4
-    for fit in weighed.fits:
+    for fit in weighted.fits:
         truth, sample = exact(fit.prior, batch), fit.sample
         assert sample.rounds == 3
         assert len(sample) == 1024

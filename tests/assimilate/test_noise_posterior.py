@@ -88,7 +88,7 @@ def test_that_evidence_and_moments_over_the_noise_are_those_of_brute_force_quadr
     )
 
 
-def test_that_a_known_law_is_weighed_as_before() -> None:
+def test_that_a_known_law_is_weighted_as_before() -> None:
     batch = experiments(2, noise=CORRELATED)
     sample = weigh(fitted(batch), SIMULATOR, seed=0)["nhkv"].sample
     assert sample is not None
@@ -147,8 +147,8 @@ def test_that_the_most_probable_law_finds_long_correlations_that_a_fit_partly_ab
 
 def test_that_held_out_curves_are_scored_over_the_noise() -> None:
     batch = experiments(3, noise=CORRELATED)
-    weighed = weigh(fitted(batch), SIMULATOR, seed=0, samples=1024, noise=LAWS)
-    score = cross_validate(weighed, SIMULATOR, seed=0, folds=[[1]], options=OPTIONS)[0]
+    weighted = weigh(fitted(batch), SIMULATOR, seed=0, samples=1024, noise=LAWS)
+    score = cross_validate(weighted, SIMULATOR, seed=0, folds=[[1]], options=OPTIONS)[0]
     rest = ExperimentBatch((batch.experiments[0], batch.experiments[2]), batch.noise)
     expected = float(by_brute_force(batch)["evidence"] - by_brute_force(rest)["evidence"])
     assert score.value == pytest.approx(expected, abs=4.0 * score.error + 0.05)

@@ -59,9 +59,9 @@ def test_that_draws_through_the_polytropic_simulator_agree_with_importance_sampl
     laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(dict(case.truth)), repeats=1, times=times)
     batch = ExperimentBatch((laboratory.shoot(tensor(300.0, 0.25), seed=0),))
     belief = Belief((case.prior["nhkv"],), tensor(0.0))
-    weighed = weigh(assimilate(belief, batch, simulator, seed=0), simulator, seed=0, samples=1024)
-    sample = weighed.fits[0].sample
-    draws = nuts(weighed.fits[0], batch, simulator, seed=0, draws=5, warmup=4, chains=64)
+    weighted = weigh(assimilate(belief, batch, simulator, seed=0), simulator, seed=0, samples=1024)
+    sample = weighted.fits[0].sample
+    draws = nuts(weighted.fits[0], batch, simulator, seed=0, draws=5, warmup=4, chains=64)
     sds = sample.covariance.diagonal().sqrt()
     assert float(((draws.mean - sample.mean) / sds).abs().max()) < 0.25
     torch.testing.assert_close(draws.covariance.diagonal().sqrt(), sds, rtol=0.3, atol=0.0)

@@ -32,15 +32,15 @@ def changed(assimilation: Assimilation, **fields) -> Assimilation:
 def test_that_a_gaussian_posterior_is_trusted_in_one_round(simple: Assimilation) -> None:
     before, after = simple.fits[0], weigh(simple, LinearSimulator(), seed=0).fits[0]
     assert before.verdict is Verdict.UNCHECKED
-    assert before.trust.startswith("no draws were weighed")
+    assert before.trust.startswith("no draws were weighted")
     assert after.verdict is Verdict.TRUSTED
     assert after.sample.rounds == 1
     assert after.sample.effective_samples > 200.0
-    assert after.trust.startswith("intervals trusted: weighed draws confirm the fitted Gaussian (k ")
+    assert after.trust.startswith("intervals trusted: weighted draws confirm the fitted Gaussian (k ")
     assert after.trust.endswith("of 256)")
     sds = torch.linalg.norm(before.posterior.chol, dim=1)
     moved = (after.posterior.mean - before.posterior.mean).abs() / sds
-    assert float(moved.max()) < 0.03  # what chance leaves of a correction that is not needed; .06 by weighed draws alone
+    assert float(moved.max()) < 0.03  # what chance leaves of a correction that is not needed; .06 by weighted draws alone
     torch.testing.assert_close(
         torch.linalg.norm(after.posterior.chol, dim=1) / sds, torch.ones(2).double(), rtol=0.0, atol=0.03
     )
@@ -190,10 +190,10 @@ def test_that_a_model_that_is_improbable_by_its_evidence_alone_gets_one_round() 
     tight = replace(both, fits=tuple(replace(fit, chol=0.7 * fit.chol) for fit in both.fits))
     for drop_behind, again in ((2.0, False), (4.0, True)):
         said: list[str] = []
-        weighed = weigh(tight, LinearSimulator(), seed=0, samples=256, drop_behind=drop_behind, progress=said.append)
-        assert (weighed["gen_qkv"].sample.rounds > 1) == again
-        assert weighed["nhkv"].sample.rounds > 1
-        assert len(said) == max(fit.sample.rounds for fit in weighed.fits)
+        weighted = weigh(tight, LinearSimulator(), seed=0, samples=256, drop_behind=drop_behind, progress=said.append)
+        assert (weighted["gen_qkv"].sample.rounds > 1) == again
+        assert weighted["nhkv"].sample.rounds > 1
+        assert len(said) == max(fit.sample.rounds for fit in weighted.fits)
 
 
 def test_that_later_rounds_draw_more_and_hopeless_models_get_one() -> None:
@@ -203,12 +203,12 @@ def test_that_later_rounds_draw_more_and_hopeless_models_get_one() -> None:
     poor = replace(both, fits=tuple(replace(fit, chol=0.02 * fit.chol) for fit in both.fits))
     best = min(poor.fits, key=lambda fit: fit.cost).model
     for drop_behind, expected in ((gap + 1.0, 2), (0.5 * gap, 1)):
-        weighed = weigh(poor, LinearSimulator(), seed=0, samples=32, drop_behind=drop_behind)
-        behind = next(fit for fit in weighed.fits if fit.model != best)
+        weighted = weigh(poor, LinearSimulator(), seed=0, samples=32, drop_behind=drop_behind)
+        behind = next(fit for fit in weighted.fits if fit.model != best)
         assert min(behind.sample.rounds, 2) == expected
-        assert weighed[best].sample.rounds > 1
+        assert weighted[best].sample.rounds > 1
         assert len(behind.sample) == 25 if expected == 1 else len(behind.sample) >= 32  # a quarter, but not fewer than 25
-        assert len(weighed[best].sample) == 32 * 2 ** max(0, weighed[best].sample.rounds - 2)
+        assert len(weighted[best].sample) == 32 * 2 ** max(0, weighted[best].sample.rounds - 2)
 
 
 @pytest.mark.parametrize(("best", "kept"), [(0.0, 2), (30.0, 8)])

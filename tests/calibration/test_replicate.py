@@ -36,7 +36,7 @@ def default():
     return run(60)
 
 
-@pytest.mark.parametrize("kind", ["gaussian", "reported", "weighed"])
+@pytest.mark.parametrize("kind", ["gaussian", "reported", "weighted"])
 def test_that_the_default_is_calibrated(default, kind):
     assert all(r.failure is None and r.converged for r in default)
     for name in ("G", "mu"):
@@ -66,7 +66,7 @@ def enlarged(experiments):
 @pytest.mark.parametrize("learn", [halved, lambda e: tempered(ExperimentBatch(e, NOISE)), enlarged])
 def test_that_a_wrong_inference_is_found_out(learn):
     found = run(40, learn=learn)
-    for kind in ("gaussian", "reported", "weighed"):
+    for kind in ("gaussian", "reported", "weighted"):
         assert min(uniformity(pooled(found, kind, name)).p for name in ("G", "mu")) < 1e-3
 
 
@@ -129,7 +129,7 @@ def test_that_nuisances_are_drawn_and_marginalised():
     found = run(24, plan=plan)
     assert all(r.log_likelihood is None for r in found)
     for name in ("G", "mu"):
-        assert uniformity(pooled(found, "weighed", name)).p > 0.01
+        assert uniformity(pooled(found, "weighted", name)).p > 0.01
 
 
 def test_that_the_information_is_the_closed_form_s():
@@ -159,9 +159,9 @@ def test_that_a_replicate_depends_on_its_number_alone():
     many = {r.number: r for r in run(8)}
     for number in (2, 5):
         assert few[number].model == many[number].model
-        assert few[number].weighed == pytest.approx(many[number].weighed, abs=1e-6)
+        assert few[number].weighted == pytest.approx(many[number].weighted, abs=1e-6)
     other = next(iter(calibrate(LINEAR, LinearSimulator(), [5], seed=4)))
-    assert other.weighed != pytest.approx(many[5].weighed, abs=1e-3)
+    assert other.weighted != pytest.approx(many[5].weighted, abs=1e-3)
 
 
 def test_that_gels_that_cannot_be_simulated_are_drawn_again():
@@ -180,7 +180,7 @@ def test_that_bubbles_serve():
     )
     found = run(2, arrangement=soft, plan=plan, simulator=PolytropicSimulator())
     for replicate in found:
-        places = (*replicate.gaussian.values(), *replicate.weighed.values(), replicate.log_likelihood)
+        places = (*replicate.gaussian.values(), *replicate.weighted.values(), replicate.log_likelihood)
         assert all(0.0 <= place <= 1.0 for place in places)
         assert replicate.information > 4.0
         assert replicate.probabilities == {"nhkv": 1.0}

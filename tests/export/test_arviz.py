@@ -23,14 +23,14 @@ OPTIONS = SearchOptions(raw_samples=24)
 
 
 @pytest.fixture(scope="module")
-def weighed() -> Assimilation:
+def weighted() -> Assimilation:
     batch = experiments(3, nuisance=Nuisance(time_zero=0.2, rest_radius=0.3))
     fit = assimilate(prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=OPTIONS)
     return weigh(fit, LinearSimulator(), seed=1, samples=1024)
 
 
-def test_that_every_model_has_the_groups_of_the_schema_with_named_axes(weighed: Assimilation) -> None:
-    tree = to_arviz(weighed, seed=0, draws=200)
+def test_that_every_model_has_the_groups_of_the_schema_with_named_axes(weighted: Assimilation) -> None:
+    tree = to_arviz(weighted, seed=0, draws=200)
     assert set(tree.children) == {"newtonian", "nhkv"}
     branch = tree["nhkv"]
     assert set(branch.children) == {"posterior", "sample_stats", "log_likelihood", "observed_data", "constant_data"}
@@ -44,17 +44,17 @@ def test_that_every_model_has_the_groups_of_the_schema_with_named_axes(weighed: 
     assert set(tree["newtonian"]["posterior"].data_vars) == {"mu", "nuisances"}
 
 
-def test_that_units_travel_with_the_variables(weighed: Assimilation) -> None:
-    branch = to_arviz(weighed, seed=0, draws=10)["nhkv"]
+def test_that_units_travel_with_the_variables(weighted: Assimilation) -> None:
+    branch = to_arviz(weighted, seed=0, draws=10)["nhkv"]
     assert branch["posterior"]["G"].attrs == {"units": "Pa", "long_name": "shear modulus"}
     assert branch["posterior"]["mu"].attrs["units"] == "Pa s"
     assert branch["observed_data"]["radius"].attrs["units"] == "R/Rmax"
     assert branch["constant_data"]["time"].attrs["units"] == "t U_c/Rmax"
 
 
-def test_that_draws_have_the_posteriors_moments(weighed: Assimilation) -> None:
-    posterior = to_arviz(weighed, seed=0, draws=4000)["nhkv"]["posterior"]
-    part, truth = weighed.prior["nhkv"], exact(weighed.prior["nhkv"], weighed.batch)
+def test_that_draws_have_the_posteriors_moments(weighted: Assimilation) -> None:
+    posterior = to_arviz(weighted, seed=0, draws=4000)["nhkv"]["posterior"]
+    part, truth = weighted.prior["nhkv"], exact(weighted.prior["nhkv"], weighted.batch)
     slopes = tensor(*[m.sd for m in part.marginals])
     mean, sd = part.physical(truth.mean), slopes * truth.covariance.diagonal().sqrt()
     for i, name in enumerate(part.names):
@@ -64,8 +64,8 @@ def test_that_draws_have_the_posteriors_moments(weighed: Assimilation) -> None:
     np.testing.assert_allclose(found, truth.nuisances.numpy(), atol=0.12)
 
 
-def test_that_data_are_what_was_measured_and_missing_frames_are_nan(weighed: Assimilation) -> None:
-    tree, batch = to_arviz(weighed, seed=0, draws=10), weighed.batch
+def test_that_data_are_what_was_measured_and_missing_frames_are_nan(weighted: Assimilation) -> None:
+    tree, batch = to_arviz(weighted, seed=0, draws=10), weighted.batch
     radius, times = tree["nhkv/observed_data"]["radius"].values, tree["nhkv/constant_data"]["time"].values
     assert np.array_equal(np.isfinite(radius), batch.mask.numpy())
     assert np.array_equal(radius[batch.mask], batch.mean[batch.mask].numpy())
@@ -73,11 +73,11 @@ def test_that_data_are_what_was_measured_and_missing_frames_are_nan(weighed: Ass
     assert tree["nhkv/constant_data"]["repeats"].values.tolist() == [e.repeats for e in batch.experiments]
 
 
-def test_that_arvizs_leave_one_out_is_the_score_of_the_library(weighed: Assimilation) -> None:
-    """Experiments left out by ArviZ from the exported draws, and by ``cross_validate`` from the weighed ones."""
+def test_that_arvizs_leave_one_out_is_the_score_of_the_library(weighted: Assimilation) -> None:
+    """Experiments left out by ArviZ from the exported draws, and by ``cross_validate`` from the weighted ones."""
     loo = pytest.importorskip("arviz_stats", reason="needs arviz-stats").base.array_stats
-    branch = to_arviz(weighed, seed=0, draws=4000)["nhkv"]
-    scores = [s for s in cross_validate(weighed, LinearSimulator(), seed=0, options=OPTIONS) if s.model == "nhkv"]
+    branch = to_arviz(weighted, seed=0, draws=4000)["nhkv"]
+    scores = [s for s in cross_validate(weighted, LinearSimulator(), seed=0, options=OPTIONS) if s.model == "nhkv"]
     for e, score in enumerate(scores):
         if score.refitted:
             continue
@@ -87,14 +87,14 @@ def test_that_arvizs_leave_one_out_is_the_score_of_the_library(weighed: Assimila
     assert any(not score.refitted for score in scores)
 
 
-def test_that_statistics_are_those_of_the_sample(weighed: Assimilation) -> None:
-    stats, sample = to_arviz(weighed, seed=0, draws=10)["nhkv"]["sample_stats"], weighed["nhkv"].sample
+def test_that_statistics_are_those_of_the_sample(weighted: Assimilation) -> None:
+    stats, sample = to_arviz(weighted, seed=0, draws=10)["nhkv"]["sample_stats"], weighted["nhkv"].sample
     assert float(stats["pareto_k"]) == sample.pareto_k
     assert float(stats["log_evidence"]) == sample.log_evidence
     assert stats["lp"].shape == (1, 10)
 
 
-def test_that_a_fit_without_weights_gives_its_gaussian(weighed: Assimilation) -> None:
+def test_that_a_fit_without_weights_gives_its_gaussian(weighted: Assimilation) -> None:
     fit = assimilate(prior(("nhkv",)), experiments(1), LinearSimulator(), seed=1, options=OPTIONS)
     branch = to_arviz(fit, seed=0, draws=4000)["nhkv"]
     assert set(branch.children) == {"posterior", "observed_data", "constant_data"}
@@ -130,10 +130,10 @@ def test_that_a_campaign_gives_every_step_and_the_posterior_of_the_last(tmp_path
     assert again["campaign"]["log_evidence"].values.tolist() == history["log_evidence"].values.tolist()
 
 
-def test_that_a_file_holds_the_tree_and_is_replaced_whole(weighed: Assimilation, tmp_path, monkeypatch) -> None:
+def test_that_a_file_holds_the_tree_and_is_replaced_whole(weighted: Assimilation, tmp_path, monkeypatch) -> None:
     import xarray
 
-    tree, path = to_arviz(weighed, seed=0, draws=20), tmp_path / "fit.nc"
+    tree, path = to_arviz(weighted, seed=0, draws=20), tmp_path / "fit.nc"
     path.write_text("old")
     write_netcdf(tree, path)
     with xarray.open_datatree(path, engine="h5netcdf") as back:
@@ -153,8 +153,8 @@ def test_that_a_file_holds_the_tree_and_is_replaced_whole(weighed: Assimilation,
     assert [p.name for p in tmp_path.iterdir()] == ["fit.nc"]
 
 
-def test_that_draws_depend_on_the_seed_alone(weighed: Assimilation) -> None:
-    one, same, other = (to_arviz(weighed, seed=s, draws=30)["nhkv/posterior"]["G"].values.tolist() for s in (1, 1, 2))
+def test_that_draws_depend_on_the_seed_alone(weighted: Assimilation) -> None:
+    one, same, other = (to_arviz(weighted, seed=s, draws=30)["nhkv/posterior"]["G"].values.tolist() for s in (1, 1, 2))
     assert json.dumps(one) == json.dumps(same)
     assert one != other
 

@@ -137,7 +137,7 @@ def test_that_what_shows_of_an_effect_is_what_the_null_fit_leaves_of_its_curve()
     clean = ExperimentBatch(tuple(replace(e, radius=r.expand(100, -1)) for e, r in zip(plan.experiments, curves, strict=True)))
     fit = fit_null(wide_prior(("nhkv",)).models[0], clean, simulator, seed=0)
     assert fit.certificate.converged
-    left = float(linearise(fit, clean, simulator).residual.norm())  # weighed by the noise at the fit, not at the truth
+    left = float(linearise(fit, clean, simulator).residual.norm())  # weighted by the noise at the fit, not at the truth
     assert shown == pytest.approx(left, rel=0.15)
     by_phase = signal_by_phase(gel, effect, plan, simulator)
     assert all(early <= late + 0.01 for early, late in pairwise(by_phase))

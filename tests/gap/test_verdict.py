@@ -41,7 +41,7 @@ def test_that_even_evidence_gives_the_prior_over_families_back() -> None:
     assert posterior["residual_velocity"] == pytest.approx(0.5 * posterior["gas_loss"])
 
 
-def test_that_evidence_is_weighed_by_its_exponential_and_what_was_not_fitted_counts_for_nothing() -> None:
+def test_that_evidence_is_weighted_by_its_exponential_and_what_was_not_fitted_counts_for_nothing() -> None:
     posterior = probabilities(EVEN | {"wall": -3.0 + math.log(40.0)}, EFFECTS, (), 1.0)
     assert posterior["wall"] == pytest.approx(40.0 * posterior["gas_loss"])
     assert "wall" not in probabilities({k: v for k, v in EVEN.items() if k != "wall"}, EFFECTS, (), 1.0)

@@ -316,5 +316,5 @@ def test_that_shots_with_different_priors_are_refused() -> None:
 
 def test_that_a_fit_without_draws_is_refused() -> None:
     fit = _fits()[0].fits[0]
-    with pytest.raises(InputDataError, match="no weighed draws"):
+    with pytest.raises(InputDataError, match="no weighted draws"):
         ShotLikelihood.of("e0", replace(fit, sample=None))

@@ -30,7 +30,7 @@ def fitted(batch: ExperimentBatch, belief: Belief | None = None) -> Assimilation
     return assimilate(belief or prior(), batch, LinearSimulator(), seed=1, options=OPTIONS)
 
 
-def weighed(fit: ModelFit, batch: ExperimentBatch, simulator: LinearSimulator | None = None, **options) -> Evidence:
+def weighted(fit: ModelFit, batch: ExperimentBatch, simulator: LinearSimulator | None = None, **options) -> Evidence:
     """Evidence of one fit from its own draws."""
     belief = Belief((fit.prior,), tensor(0.0))
     return log_evidence(weigh(Assimilation(belief, batch, (fit,)), simulator or LinearSimulator(), **options).fits[0])
@@ -61,7 +61,7 @@ def test_that_the_evidence_is_within_four_errors_of_its_closed_form(batch: Exper
 @pytest.mark.parametrize("samples", [64, 512])
 def test_that_the_stated_error_is_the_scatter_over_seeds(simple, samples: int) -> None:
     batch, fit, truth = simple
-    runs = [weighed(fit, batch, seed=seed, samples=samples) for seed in range(60)]
+    runs = [weighted(fit, batch, seed=seed, samples=samples) for seed in range(60)]
     values, errors = tensor(*[r.value for r in runs]), tensor(*[r.error for r in runs])
     scatter = float((values - truth).square().mean().sqrt())
     assert scatter == pytest.approx(float(errors.square().mean().sqrt()), rel=0.3)
@@ -102,7 +102,7 @@ def test_that_a_fit_off_its_mark_gives_the_same_evidence_with_a_larger_error(sim
     shifted = replace(fit, mean=fit.mean + fit.chol @ tensor(1.0, -1.0), chol=1.3 * fit.chol)
     moved = (fit.nuisance_response @ (shifted.mean - fit.mean)[:, None])[..., 0]
     shifted = replace(shifted, nuisances=fit.nuisances + moved)
-    good, off = (weighed(f, batch, seed=5, samples=4096, rounds=1) for f in (fit, shifted))
+    good, off = (weighted(f, batch, seed=5, samples=4096, rounds=1) for f in (fit, shifted))
     assert off.value == pytest.approx(truth, abs=4.0 * off.error)
     assert off.error > 1.5 * good.error
     assert off.effective_samples < good.effective_samples
@@ -110,8 +110,8 @@ def test_that_a_fit_off_its_mark_gives_the_same_evidence_with_a_larger_error(sim
 
 def test_that_a_gaussian_that_misses_the_posterior_is_not_trusted(simple) -> None:
     batch, fit, _ = simple
-    good = weighed(fit, batch, seed=5)
-    wrong = weighed(replace(fit, mean=fit.mean + 12.0 * fit.chol[:, 0]), batch, seed=5, rounds=1)
+    good = weighted(fit, batch, seed=5)
+    wrong = weighted(replace(fit, mean=fit.mean + 12.0 * fit.chol[:, 0]), batch, seed=5, rounds=1)
     assert good.trusted
     assert good.effective_samples > 0.5 * good.samples
     assert not wrong.trusted
@@ -121,19 +121,19 @@ def test_that_samples_that_fail_count_as_impossible_data(simple) -> None:
     """A simulator that fails above the posterior mean of G halves the integral."""
     batch, fit, truth = simple
     limit = MEANS["G"] + SDS["G"] * float(fit.mean[0])
-    evidence = weighed(fit, batch, LinearSimulator(limit={"G": limit}), seed=2, samples=4096, rounds=1)
+    evidence = weighted(fit, batch, LinearSimulator(limit={"G": limit}), seed=2, samples=4096, rounds=1)
     assert evidence.failed == pytest.approx(2048, abs=130)
     assert evidence.value == pytest.approx(truth - math.log(2.0), abs=4.0 * evidence.error)
 
 
-def test_that_a_fit_without_weighed_draws_has_no_evidence(simple) -> None:
-    with pytest.raises(InputDataError, match=r"The fit of 'nhkv' has no weighed draws; pass its assimilation through `weigh`"):
+def test_that_a_fit_without_weighted_draws_has_no_evidence(simple) -> None:
+    with pytest.raises(InputDataError, match=r"The fit of 'nhkv' has no weighted draws; pass its assimilation through `weigh`"):
         log_evidence(simple[1])
 
 
 def test_that_evidence_depends_on_seed_and_model_alone(simple) -> None:
     batch, fit, _ = simple
-    one, same, other = (weighed(fit, batch, seed=seed) for seed in (1, 1, 2))
+    one, same, other = (weighted(fit, batch, seed=seed) for seed in (1, 1, 2))
     assert one == same
     assert one.value != other.value
     in_company = found(fitted(batch), seed=1)[MODELS.index("nhkv")]

@@ -16,7 +16,7 @@ OPTIONS = SearchOptions(raw_samples=24)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 
-def weighed(batch: ExperimentBatch, belief: Belief, samples: int = 1024) -> Assimilation:
+def weighted(batch: ExperimentBatch, belief: Belief, samples: int = 1024) -> Assimilation:
     return weigh(
         assimilate(belief, batch, LinearSimulator(), seed=1, options=OPTIONS), LinearSimulator(), seed=1, samples=samples
     )
@@ -30,7 +30,7 @@ def without(batch: ExperimentBatch, fold: list[int]) -> ExperimentBatch:
 @pytest.mark.parametrize("folds", [None, [[0, 2], [1, 3]]], ids=["each alone", "two folds"])
 def test_that_scores_are_the_evidence_of_all_over_that_of_the_others(nuisance: Nuisance | None, folds) -> None:
     belief, batch = prior(("newtonian", "nhkv")), experiments(4, nuisance=nuisance)
-    scores = cross_validate(weighed(batch, belief), LinearSimulator(), seed=3, folds=folds, samples=1024, options=OPTIONS)
+    scores = cross_validate(weighted(batch, belief), LinearSimulator(), seed=3, folds=folds, samples=1024, options=OPTIONS)
     wanted = folds or [[0], [1], [2], [3]]
     assert len(scores) == 2 * len(wanted)
     for i, score in enumerate(scores):
@@ -63,7 +63,7 @@ def test_that_a_posterior_too_narrow_to_leave_data_out_is_refitted_and_one_that_
             raise AssertionError("no simulation was needed")
 
     belief, batch = prior(("newtonian", "nhkv")), experiments(4)
-    both = weighed(batch, belief)
+    both = weighted(batch, belief)
     scores = cross_validate(both, LinearSimulator(), seed=3, folds=[[3]], options=OPTIONS)
     assert [s.refitted for s in scores] == [True, False]
     assert scores[0].pareto_k > 0.7
@@ -96,12 +96,12 @@ def test_that_the_predictive_density_of_a_belief_is_that_of_its_mixture_of_model
 
 @pytest.mark.parametrize("fold", [[], [0, 1, 2], [3], [-1]])
 def test_that_an_empty_whole_or_unknown_fold_is_refused(fold: list[int]) -> None:
-    fit = weighed(experiments(3), prior(("nhkv",)), samples=64)
+    fit = weighted(experiments(3), prior(("nhkv",)), samples=64)
     with pytest.raises(InputDataError, match=r"expected some, and not all, of the experiments 0 to 2"):
         cross_validate(fit, LinearSimulator(), seed=0, folds=[fold])
 
 
-def test_that_fits_without_weighed_draws_are_refused() -> None:
+def test_that_fits_without_weighted_draws_are_refused() -> None:
     fit = assimilate(prior(("nhkv",)), experiments(3), LinearSimulator(), seed=1, options=OPTIONS)
     with pytest.raises(InputDataError, match="pass its assimilation through `weigh` first"):
         cross_validate(fit, LinearSimulator(), seed=0)

@@ -68,13 +68,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=METHODS,
         default="map",
         help="the most probable gel by multistart Gauss-Newton (default), or hybrid ensemble 4D-Var, with the data's own "
-        "likelihood or with the tempered one of arXiv 2409.00011; draws are weighed by the posterior after either",
+        "likelihood or with the tempered one of arXiv 2409.00011; draws are weighted by the posterior after either",
     )
     parser.add_argument(
         "--effort",
         choices=EFFORTS,
         default="normal",
-        help="how far draws are weighed where they do not settle the intervals of a model (default normal)",
+        help="how far draws are weighted where they do not settle the intervals of a model (default normal)",
     )
     parser.add_argument(
         "--frames",

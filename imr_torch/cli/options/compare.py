@@ -5,7 +5,7 @@
 
 Takes results of characterize or batch (written with --json or --out), of independent data. Ratios and differences are
 of parameters, with 90 % intervals. The Bayes factor weighs one gel against two with the same prior; it is given where the
-posteriors are Gaussian by their weighed draws and both had the same prior. Without it, gels are said to differ if one has
+posteriors are Gaussian by their weighted draws and both had the same prior. Without it, gels are said to differ if one has
 more of a parameter with a probability of 97.5 %.
 """
 
