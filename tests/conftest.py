@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from matplotlib.figure import Figure
 
+from tests import figures
 from tests.processes import Processes
 
 torch.set_num_threads(1)
@@ -34,11 +36,10 @@ def processes() -> Iterator[Processes]:
     starting.close()
 
 
-@pytest.fixture(scope="module")
-def png_only() -> Iterator[None]:
-    """Commands write their figures as PNG alone, for tests of what is not about figures; the fonts of a PDF take half a second."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("imr_torch.cli.figures.WRITTEN", ("png",))
+@pytest.fixture
+def rendered() -> Iterator[None]:
+    """Figures are rendered in this test; in others each is saved as one pixel."""
+    with figures.rendering():
         yield
 
 
@@ -49,6 +50,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Before a test imports the package."""
+    Figure.savefig = figures.save_one_pixel
     if config.getoption("--check-shapes"):
         from tests import shape_check
 

@@ -24,7 +24,6 @@ EXAMPLE = example_gel()
 TRUTH = {"G": 8310.0, "mu": 0.093}
 TABLE = "experiment_id,time_s,radius_m\n"
 QUICK = ["--physics", "polytropic", "--quiet"]
-pytestmark = pytest.mark.usefixtures("png_only")
 
 
 @pytest.fixture(autouse=True)
@@ -42,7 +41,7 @@ def test_help_teaches_with_an_example(command, capsys):
     assert f"imr-torch {command} " in capsys.readouterr().out.split("options:")[0].split("\n\n", 1)[1]
 
 
-def test_simulate_writes_the_curve_and_a_figure(tmp_path, capsys):
+def test_simulate_writes_the_curve_and_a_figure(rendered, tmp_path, capsys):
     out = tmp_path / "bubble"
     gel = ["--set", "G=8310,mu=0.093"]
     assert main(["simulate", *gel, "--we", "300", "--rinf", "0.2", "--out", str(out), "--frames", "41"]) == 0
@@ -106,7 +105,7 @@ def test_design_can_ask_about_the_model_alone(tmp_path):
     assert all(row["parameters"] == 0.0 and row["eig"] <= 0.6932 for row in evaluated)
 
 
-def test_design_recommends_inside_the_space_and_draws_its_map(tmp_path):
+def test_design_recommends_inside_the_space_and_draws_its_map(rendered, tmp_path):
     out = tmp_path / "next"
     options = ["--evaluations", "5", "--draws", "4", "--we-range", "200:400", "--strategy", "qEI"]
     assert main(["design", "--case", "soft-pa", *options, *QUICK, "--out", str(out)]) == 0
@@ -138,7 +137,7 @@ def test_campaign_reports_designs_errors_probabilities_intervals_and_cost(simula
     assert {"information_001.png", "curve_001.png", "models.png", "parameter_G.png"} <= {p.name for p in out.glob("*.png")}
 
 
-def test_that_the_page_and_the_figures_of_a_campaign_come_from_its_json_alone(simulated, tmp_path, capsys):
+def test_that_the_page_and_the_figures_of_a_campaign_come_from_its_json_alone(rendered, simulated, tmp_path, capsys):
     document = json.loads((simulated[1] / "campaign.json").read_text())
     assert [curve["number"] for curve in document["curves"]] == [1]
     names = {figure.name for figure in draw_figures(document)}

@@ -14,7 +14,6 @@ from imr_torch.material import PARAMETERS
 from imr_torch.units import Surroundings
 
 QUICK = ["--physics", "polytropic", "--quiet"]
-pytestmark = pytest.mark.usefixtures("png_only")
 DENSE = Surroundings(density=1150.0)
 
 

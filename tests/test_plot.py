@@ -53,7 +53,7 @@ def test_that_second_axes_are_in_laboratory_units():
 
 
 @pytest.mark.parametrize("label", ["$x_{bad$", "a" * 300, "a\nb"])
-def test_that_any_label_is_drawn(label, tmp_path):
+def test_that_any_label_is_drawn(rendered, label, tmp_path):
     band = tuple(torch.full((21,), x, dtype=torch.float64) for x in (0.5, 0.6, 0.7))
     figure = plot_experiment(experiment(label), band).figure
     figure.savefig(tmp_path / "figure.pdf")

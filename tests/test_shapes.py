@@ -13,7 +13,7 @@ CHECKED = (
     "tests/material/test_belief.py",
     "tests/material/test_marginals.py",
     "tests/material/test_parameters.py",
-    "tests/simulate/test_sensitivity.py::test_that_followers_that_fail_or_fall_behind_leave_their_leader_alone",
+    "tests/simulate/test_sensitivity.py::test_that_followers_that_fail_or_fall_behind_leave_their_leader_alone[transport]",
     "tests/observe/test_experiments.py",
     "tests/assimilate/test_gauss_newton.py",
     "tests/assimilate/test_posterior.py",
@@ -27,7 +27,17 @@ CHECKED = (
     "tests/test_examples.py",
 )
 STAGES = ("material", "simulate", "observe", "assimilate", "select", "calibration", "gap", "export")
-SLOW = ("integrates_to_one", "noise_estimation", "bad_frames", "profile", "nuts")
+SLOW = (
+    "integrates_to_one",
+    "noise_estimation",
+    "bad_frames",
+    "profile",
+    "nuts",
+    "silent_on",
+    "as_often_as",
+    "stepwise",
+    "gel_scatter",
+)
 REFUSED = (
     "bad_input",
     "refused",

@@ -119,7 +119,7 @@ def test_that_what_it_cannot_learn_from_is_refused(tmp_path: Path) -> None:
             PopulationLearner(**changes)
 
 
-def test_that_the_command_reports_a_population(png_only: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_that_the_command_reports_a_population(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "gels"
     words = ("--case", "soft-pa", "--scatter", "G=.2", "--designs", "2", "--evaluations", "4", "--physics", "polytropic")
     main(["campaign", "--goal", "population", *words, "--out", str(folder), "--html", str(tmp_path / "page.html")])

@@ -22,6 +22,7 @@ from imr_torch.gap.report import repeats_needed, sections
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.simulate import PolytropicSimulator
+from tests.figures import rendering
 
 FOUND = (
     "gap",
@@ -84,7 +85,8 @@ def found() -> tuple[GapReport, Parts]:
 @pytest.fixture(scope="module")
 def page(found, tmp_path_factory) -> Path:
     report, parts = found
-    return write_page(report, tmp_path_factory.mktemp("page") / "page.html", parts, title="A < B")
+    with rendering():
+        return write_page(report, tmp_path_factory.mktemp("page") / "page.html", parts, title="A < B")
 
 
 def test_that_json_has_the_agreed_keys_and_what_was_found(found):

@@ -149,7 +149,7 @@ def test_that_labels_are_drawn_as_they_are():
     assert len(plain("a" * 300)) == 48
 
 
-def test_that_every_figure_is_drawn_from_the_file_alone_and_none_overwrites_another(document, tmp_path):
+def test_that_every_figure_is_drawn_from_the_file_alone_and_none_overwrites_another(rendered, document, tmp_path):
     write_json(tmp_path / "result.json", document)
     assert main(["plot", str(tmp_path / "result.json"), "--out", str(tmp_path / "again"), "--format", "png,svg"]) == 0
     names = {path.stem for path in (tmp_path / "again").glob("*.png")}
@@ -259,7 +259,7 @@ def test_that_curves_of_the_model_are_explained_and_those_of_an_unmodelled_effec
     assert 'class="verdict warning"' in characterization_page(lossy)
 
 
-def test_that_the_command_line_writes_json_before_figures_and_the_page(tmp_path, monkeypatch, capsys):
+def test_that_the_command_line_writes_json_before_figures_and_the_page(rendered, tmp_path, monkeypatch, capsys):
     records = documents.traces(("one", "two"))
     rows = [
         f"{t.experiment_id},{s:.10g},{r:.10g}"

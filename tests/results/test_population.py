@@ -77,7 +77,7 @@ def _written(folder, count: int) -> str:
     return str(path)
 
 
-def test_that_the_command_writes_report_json_figure_and_page(tmp_path, capsys) -> None:
+def test_that_the_command_writes_report_json_figure_and_page(rendered: None, tmp_path, capsys) -> None:
     options = [
         "--models",
         "nhkv",

@@ -14,6 +14,7 @@ from imr_torch.cli.common import METHODS
 from imr_torch.errors import InputDataError
 from imr_torch.results import characterization_page, draw_figures, read_document
 from imr_torch.results.profile import profile_figure
+from tests.figures import rendering
 from tests.results.documents import SIMULATOR, traces
 
 QUICK = ["--physics", "polytropic", "--rest-radius", "0.2:0.01", "--noise", "published", "--threads", "1", "--quiet"]
@@ -39,7 +40,7 @@ def written(tmp_path_factory):
         "--html",
         str(folder / "a.html"),
     ]
-    with mock.patch.dict(METHODS, {"map": SearchOptions(raw_samples=16, starts=2)}):
+    with rendering(), mock.patch.dict(METHODS, {"map": SearchOptions(raw_samples=16, starts=2)}):
         assert main(["characterize", str(folder / "gel.csv"), *asked, *QUICK]) == 0
     return folder
 
