@@ -14,6 +14,7 @@ STAGES = (
     "simulate",
     "observe",
     "assimilate",
+    "goodness",
     "select",
     "population",
     "design",

@@ -20,9 +20,9 @@ from torch import Tensor
 from benchmarks.gap.mmd import prior_predictive_mmd
 from imr_torch.gap import Effect, GapReport
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
-from imr_torch.gap.linear import Linearisation
-from imr_torch.gap.score import LEVEL, STATE_LAW
 from imr_torch.gap.windows import moving_windows
+from imr_torch.goodness.linear import Linearisation
+from imr_torch.goodness.score import LEVEL, STATE_LAW
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 

@@ -19,10 +19,10 @@ from imr_torch.gap import LIBRARY, GapReport, diagnose, to_json
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.gap.locate import onset
-from imr_torch.gap.phases import PHASES
 from imr_torch.gap.prediction import held_out, hold_out
-from imr_torch.gap.score import ADEQUATE
 from imr_torch.gap.shrinkage import judge
+from imr_torch.goodness.phases import PHASES
+from imr_torch.goodness.score import ADEQUATE
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator, fewer_steps

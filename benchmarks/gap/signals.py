@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from imr_torch.gap.phases import PHASES, phase_clock, phase_name
+from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator

@@ -16,7 +16,7 @@ import torch
 from scipy.stats import beta, binom
 
 from imr_torch.gap import LIBRARY
-from imr_torch.gap.score import LEVEL
+from imr_torch.goodness.score import LEVEL
 from imr_torch.random import generator
 
 Line = Mapping[str, Any]

@@ -15,6 +15,7 @@ PACKAGES = {
     "simulate": "What does the bubble do?",
     "observe": "What does the camera see?",
     "assimilate": "What do we learn?",
+    "goodness": "Does the model explain the curves?",
     "select": "Which model?",
     "population": "Is the gel the same twice?",
     "design": "What to shoot next?",

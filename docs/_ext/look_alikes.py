@@ -1,8 +1,8 @@
 """Which entries of the catalogue change R(t) alike, once the usual parameters have been fitted, and what tells them apart.
 
 Each entry changes the curves of one base gel at three designs. What G, mu and each curve's Rmax, time zero and R_inf,
-within their prior, can absorb to first order is projected out, as a diagnosis does (imr_torch.gap.linear). The angle between
-two remaining changes says how alike they are: after the best match, the sine of the angle is left of one.
+within their prior, can absorb to first order is projected out, as a diagnosis does (imr_torch.goodness.linear). The angle
+between two remaining changes says how alike they are: after the best match, the sine of the angle is left of one.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Stage 4, inference: from experiments to the posterior of each model's parameters, with a convergence certificate."""
+"""Inference: from experiments to the posterior of each model's parameters, with a convergence certificate."""
 
 from imr_torch.assimilate.bad_frames import BadFrame, BadFrames, find_bad_frames
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar

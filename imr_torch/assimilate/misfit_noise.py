@@ -1,6 +1,7 @@
 """The noise law for a model that misses the curves: what it leaves is a misfit that drifts over the event, not noise."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -23,9 +24,26 @@ def misfit_law(near: Neighbourhood, prior: NoisePrior) -> Noise:
         near: the fit, simulated, with its local sensitivities.
         prior: of the law.
     """
-    law, drifting = most_probable_law(near, prior, independent=True), most_probable_law(near, prior)
+    return enlarged(most_probable_law(near, prior, independent=True), most_probable_law(near, prior), [near])
+
+
+def enlarged(law: Noise, drifting: Noise, fits: Sequence[Neighbourhood]) -> Noise:
+    """A law of independent frames, enlarged by what residuals of another law add to the variance of the gels.
+
+    Args:
+        law: of independent frames.
+        drifting: the most probable law of correlated noise.
+        fits: of one batch, or of several, each with a gel of its own.
+    """
     if drifting.correlation_time == 0.0:
         return law
+    added, told = (sum(parts) for parts in zip(*(_variances(near, law, drifting) for near in fits), strict=True))
+    widened = max(1.0, math.sqrt(added / told))
+    return replace(law, scale=widened * law.scale, widened=widened)
+
+
+def _variances(near: Neighbourhood, law: Noise, drifting: Noise) -> tuple[float, float]:
+    """Summed variances of the gel's whitened coordinates by residuals of the drifting law, and by those of the other."""
     batch = near.posterior.batch
     sd, true_sd = (noise.sd(near.centre, batch.times) / batch.counts.sqrt() for noise in (law, drifting))
     by_gel, by_nuisance = (torch.where(batch.mask, 1.0 / sd, 0.0)[..., None] * x for x in near.slopes)
@@ -36,6 +54,4 @@ def misfit_law(near: Neighbourhood, prior: NoisePrior) -> Noise:
     scatter = (moved.mT @ torch.exp(-gaps / drifting.correlation_time) @ moved).sum(0)
     told = (own.mT @ own).sum(0)
     inverse = torch.linalg.inv(torch.eye(len(told), dtype=torch.float64) + told)
-    ratio = (inverse @ scatter).trace() / (inverse @ told).trace()
-    widened = max(1.0, math.sqrt(float(ratio)))
-    return replace(law, scale=widened * law.scale, widened=widened)
+    return float((inverse @ scatter).trace()), float((inverse @ told).trace())

@@ -1,4 +1,4 @@
-"""Stage 7, campaigns: sequences of choosing a design, measuring and inference, recorded in a journal."""
+"""Campaigns: sequences of choosing a design, measuring and inference, recorded in a journal."""
 
 from imr_torch.campaign.history import Step
 from imr_torch.campaign.journal import Journal

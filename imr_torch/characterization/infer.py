@@ -31,7 +31,8 @@ from imr_torch.characterization.effort import EFFORTS
 from imr_torch.characterization.medium import medium_of
 from imr_torch.characterization.profiles import profiles_of
 from imr_torch.characterization.result import Characterization
-from imr_torch.gap import FitTest, check_fit, medium_sensitivities
+from imr_torch.gap import medium_sensitivities
+from imr_torch.goodness import FitTest, check_fit, explains_curves
 from imr_torch.material import Belief, wide_prior
 from imr_torch.observe import (
     CollapseShot,
@@ -248,7 +249,7 @@ class _Method:
             seed=child(seed, "fit"),
             options=self.options,
             near=near,
-            explains=lambda fit, batch: self.tested(fit, batch, child(seed, "explains")).explained is not False,
+            explains=explains_curves(self.simulator, seed=child(seed, "explains")),
             progress=self.progress,
         )
         best = min(fits.fits, key=lambda fit: fit.cost)

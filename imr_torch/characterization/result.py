@@ -12,7 +12,8 @@ from imr_torch.characterization.medium import medium_document
 from imr_torch.characterization.profiles import profiles_document
 from imr_torch.characterization.report import report_lines
 from imr_torch.files import write_json
-from imr_torch.gap import FitTest, MediumSensitivity
+from imr_torch.gap import MediumSensitivity
+from imr_torch.goodness import FitTest
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, GelMedium, Landmarks, Noise, Prepared
 from imr_torch.observe.frames import FrameUse

@@ -1,4 +1,4 @@
-"""Stage 6, what to shoot next: the information that an experiment is expected to give, and its maximum over designs."""
+"""What to shoot next: the information that an experiment is expected to give, and its maximum over designs."""
 
 from imr_torch.design.acquisition import ExpectedInformationGain
 from imr_torch.design.closed_form import linear_gaussian_gain

@@ -1,4 +1,4 @@
-"""Stage 9, exchange with other tools: ArviZ trees, priors from ``torch.distributions``, an sbi simulator."""
+"""Exchange with other tools: ArviZ trees, priors from ``torch.distributions``, an sbi simulator."""
 
 from imr_torch.export.arviz import to_arviz, write_netcdf
 from imr_torch.export.distributions import from_distributions, to_marginal

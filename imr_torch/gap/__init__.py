@@ -1,14 +1,14 @@
-"""Stage 8, model misfit: tests for a gap between model and data, its location, its cause, and its reduction."""
+"""Model misfit: tests for a gap between model and data, its location, its cause, and its reduction."""
 
 from imr_torch.gap.active import CauseLearner, TellCausesApart
 from imr_torch.gap.diagnose import GapReport, diagnose
 from imr_torch.gap.document import to_json
-from imr_torch.gap.fit_test import FitTest, check_fit
 from imr_torch.gap.medium import MediumSensitivity, medium_sensitivities
 from imr_torch.gap.page import write_page
 from imr_torch.gap.parts import MOST, Parts, examine
 from imr_torch.gap.report import describe
 from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
+from imr_torch.goodness import FitTest, check_fit
 from imr_torch.material import LIBRARY, Effect, library, register_effect
 from imr_torch.observe.roughness import noise_of_traces
 from imr_torch.observe.sets import load_set

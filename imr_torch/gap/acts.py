@@ -14,9 +14,9 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.linear import Linearisation, curves
-from imr_torch.gap.phases import PHASES, phase_clock, phase_name
 from imr_torch.gap.restrict import kept_rows, restrict
+from imr_torch.goodness.linear import Linearisation, curves
+from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
 from imr_torch.material import PARAMETERS, Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator

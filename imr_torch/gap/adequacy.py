@@ -7,10 +7,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.linear import Linearisation, linearise
 from imr_torch.gap.lookalike import Likeness, likeness, look_alikes
 from imr_torch.gap.refitted import refitted_directions
-from imr_torch.gap.score import GapTest, block, effect_directions, gap_test, generic_rows, promising_starts
+from imr_torch.goodness.linear import Linearisation, linearise
+from imr_torch.goodness.score import GapTest, block, effect_directions, gap_test, generic_rows, promising_starts
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
@@ -24,10 +24,10 @@ class Adequacy:
         test: the gap test there.
         starts: from where each effect that the fit does not hold would start.
         line: local sensitivities at the fit.
-        directions: what each of those effects changes there (:func:`imr_torch.gap.score.effect_directions`).
+        directions: what each of those effects changes there (:func:`imr_torch.goodness.score.effect_directions`).
         effects: those effects.
         beside: the same beside a refit (:func:`imr_torch.gap.refitted.refitted_directions`).
-        generic: rows of the generic blocks (:func:`imr_torch.gap.score.generic_rows`).
+        generic: rows of the generic blocks (:func:`imr_torch.goodness.score.generic_rows`).
     """
 
     test: GapTest

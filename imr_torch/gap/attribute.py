@@ -17,8 +17,8 @@ from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.evidence import CheckedEvidence, check_evidence, rescaled_evidence
 from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence
 from imr_torch.gap.lookalike import LIKE, Likeness
-from imr_torch.gap.score import GapTest
 from imr_torch.gap.verdict import NONE, ODDS, VERDICT_ODDS, probabilities
+from imr_torch.goodness.score import GapTest
 from imr_torch.material import Effect, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child

@@ -15,9 +15,9 @@ from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
 from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, fit_null, laplace_evidence
-from imr_torch.gap.linear import Linearisation
-from imr_torch.gap.score import GapTest
 from imr_torch.gap.verdict import NONE, OTHER, Choice, choose
+from imr_torch.goodness.linear import Linearisation
+from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, Effect, ModelBelief, library, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise

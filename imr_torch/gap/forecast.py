@@ -29,8 +29,8 @@ from imr_torch.design.response import Response, Shot
 from imr_torch.errors import ConvergenceError
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.lookalike import LIKE
-from imr_torch.gap.score import LEAST_LEFT, STATE_LAW, law_steps
 from imr_torch.gap.verdict import OTHER
+from imr_torch.goodness.score import LEAST_LEFT, STATE_LAW, law_steps
 from imr_torch.material import LIBRARY, PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import ExperimentBatch, Nuisance, predict
 from imr_torch.random import generator

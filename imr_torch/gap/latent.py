@@ -15,7 +15,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
-from imr_torch.gap.linear import Linearisation, curves
+from imr_torch.goodness.linear import Linearisation, curves
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 

@@ -18,10 +18,10 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
-from imr_torch.gap.linear import Linearisation, curves
-from imr_torch.gap.phases import phase_clock, phase_name
 from imr_torch.gap.restrict import calibrate, draw_residuals, log_p, refit, restrict
-from imr_torch.gap.score import pulse_changes, shape_rows
+from imr_torch.goodness.linear import Linearisation, curves
+from imr_torch.goodness.phases import phase_clock, phase_name
+from imr_torch.goodness.score import pulse_changes, shape_rows
 from imr_torch.labels import p_value
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import SeedLike
@@ -38,7 +38,7 @@ class Onset:
 
     Args:
         time: dimensionless time of the last frame of the first prefix that rejects, median over experiments; NaN if none does.
-        phase: one of :data:`imr_torch.gap.phases.PHASES`, or ``"none"``.
+        phase: one of :data:`imr_torch.goodness.phases.PHASES`, or ``"none"``.
         times: the end of each prefix, dimensionless, median over experiments.
         p_values: of each prefix, calibrated over all prefixes and tests.
         level: below which a prefix rejects.
@@ -95,7 +95,7 @@ def onset(
         batch: the data.
         simulator: makes the bubbles.
         seed: of the residuals drawn for the calibration.
-        directions: name -> whitened rows ``k x N`` to test (:func:`imr_torch.gap.score.effect_directions`) beside the
+        directions: name -> whitened rows ``k x N`` to test (:func:`imr_torch.goodness.score.effect_directions`) beside the
             generic ones.
         level: chance of a false onset anywhere in the event.
     """

@@ -1,12 +1,12 @@
 """How alike effects look in these data, and how often an unknown effect would pass for a known one.
 
 All of it is geometry at a fit: whitened changes of the curves with everything fitted (gel and nuisances) projected out
-(:mod:`imr_torch.gap.linear`). Two effects whose directions enclose an angle ``a`` differ by ``s sin a`` standard deviations
-when one of them shows with ``s``. An unknown effect is represented by reference directions: every effect of the library in
-turn, left out with its family, and random stress laws. Its best likeness among the effects that are left explains ``s``
-standard deviations and leaves ``s tan a``; the gap test is then run on what is left, with noise. How often it does not reject
-is the chance that an unknown effect looks like a known one; the whole distribution of its p-value, over the uniform one of
-the right effect, is the Bayes factor of an unknown effect given the p-value that was found.
+(:mod:`imr_torch.goodness.linear`). Two effects whose directions enclose an angle ``a`` differ by ``s sin a`` standard
+deviations when one of them shows with ``s``. An unknown effect is represented by reference directions: every effect of the
+library in turn, left out with its family, and random stress laws. Its best likeness among the effects that are left explains
+``s`` standard deviations and leaves ``s tan a``; the gap test is then run on what is left, with noise. How often it does not
+reject is the chance that an unknown effect looks like a known one; the whole distribution of its p-value, over the uniform one
+of the right effect, is the Bayes factor of an unknown effect given the p-value that was found.
 """
 
 import math
@@ -17,8 +17,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.gap.linear import Linearisation
-from imr_torch.gap.score import ADEQUATE, LEAST_LEFT, STATE_LAW, block, log_survival
+from imr_torch.goodness.linear import Linearisation
+from imr_torch.goodness.score import ADEQUATE, LEAST_LEFT, STATE_LAW, block, log_survival
 from imr_torch.material import Effect
 from imr_torch.random import child, generator
 
@@ -151,7 +151,7 @@ def likeness(
     Args:
         size: standard deviations that the leading effect explains of the residual.
         rows: effect -> ``S x N``, whitened changes beside a refit (:func:`imr_torch.gap.refitted.refitted_directions`).
-        generic: block -> ``k x N`` (:func:`imr_torch.gap.score.generic_rows`).
+        generic: block -> ``k x N`` (:func:`imr_torch.goodness.score.generic_rows`).
         effects: those that ``rows`` are of.
         line: local sensitivities at the fit that leaves the gap.
         seed: of noise and random laws.

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.linear import Linearisation, linearise
+from imr_torch.goodness.linear import Linearisation, linearise
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, GelMedium, predict
 from imr_torch.observe.medium import label

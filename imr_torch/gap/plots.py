@@ -18,11 +18,11 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.gap.acts import WhereItActs
 from imr_torch.gap.latent import LatentPressure
 from imr_torch.gap.locate import Onset
-from imr_torch.gap.phases import PHASES, phase_clock, phase_name
-from imr_torch.gap.score import LEVEL, BlockResult, GapTest
 from imr_torch.gap.shrinkage import Shrinkage
 from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
 from imr_torch.gap.windows import MovingWindows
+from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
+from imr_torch.goodness.score import LEVEL, BlockResult, GapTest
 from imr_torch.labels import R_STAR, T_STAR, plain
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import ExperimentBatch

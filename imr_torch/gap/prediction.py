@@ -14,8 +14,8 @@ from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions, assimilate
-from imr_torch.gap.linear import Linearisation, linearise_at
-from imr_torch.gap.phases import phase_numbers
+from imr_torch.goodness.linear import Linearisation, linearise_at
+from imr_torch.goodness.phases import phase_numbers
 from imr_torch.material import Belief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.linear import Linearisation, curves
+from imr_torch.goodness.linear import Linearisation, curves
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
@@ -39,7 +39,7 @@ def refitted_directions(
         batch: the data.
         simulator: makes the bubbles.
         line: local sensitivities at the fit.
-        directions: name -> ``S x N``, whitened changes at each start (:func:`imr_torch.gap.score.effect_directions`).
+        directions: name -> ``S x N``, whitened changes at each start (:func:`imr_torch.goodness.score.effect_directions`).
 
     Returns:
         Name -> ``S x N``; the first-order rows where the moved gel is far off, cannot be simulated, or leaves more.

@@ -17,8 +17,8 @@ from imr_torch.design import Plan
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.parts import Parts
-from imr_torch.gap.score import ADEQUATE, LEVEL, BlockResult
 from imr_torch.gap.verdict import OTHER, VERDICT_ODDS
+from imr_torch.goodness.score import ADEQUATE, LEVEL, BlockResult
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, PARAMETERS
 

@@ -4,7 +4,7 @@ Leaving frames out changes neither the curves nor their sensitivities, only whic
 "refit on a part of the data" in locating a gap is one small least-squares problem on rows that are there already, in place of a
 nonlinear search. That is first order in the distance between the two fits; :func:`moved` takes the linearisation there when it
 matters. The smallest p-value over many tests is calibrated with residuals drawn under the fitted model, as in
-:mod:`imr_torch.gap.score`.
+:mod:`imr_torch.goodness.score`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,8 +16,8 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Point
-from imr_torch.gap.linear import Linearisation, linearise_at, shifted
-from imr_torch.gap.score import block
+from imr_torch.goodness.linear import Linearisation, linearise_at, shifted
+from imr_torch.goodness.score import block
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import SeedLike, generator
 from imr_torch.simulate import Simulator

@@ -19,7 +19,7 @@ from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import EXPLAINS, laplace_evidence
 from imr_torch.gap.prediction import GEL_SCATTER, with_scatter
-from imr_torch.gap.score import ADEQUATE
+from imr_torch.goodness.score import ADEQUATE
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, Belief, Effect
 from imr_torch.observe import ExperimentBatch

@@ -6,9 +6,9 @@ curve ``y`` of ``n`` repeats, single-shot noise ``sigma`` and held-out predictio
     D = mean((y - f)^2 / sigma^2 - 1/n),        S = 1 - D_effect / D_base,
 
 so that ``D`` is a squared bias without noise and ``S`` the part of it that is gone. Where the residuals of a phase are smaller
-than the noise law allows, ``sigma`` counts as what they leave room for (:func:`imr_torch.gap.phases.noise_shares`). Beside it
-stand the best rival's ``S`` and the difference in held-out log predictive density (Vehtari, Gelman & Gabry, Stat. Comput. 27,
-2017, for its standard error).
+than the noise law allows, ``sigma`` counts as what they leave room for (:func:`imr_torch.goodness.phases.noise_shares`).
+Beside it stand the best rival's ``S`` and the difference in held-out log predictive density (Vehtari, Gelman & Gabry, Stat.
+Comput. 27, 2017, for its standard error).
 """
 
 import math
@@ -22,9 +22,9 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
-from imr_torch.gap.phases import noise_shares
 from imr_torch.gap.prediction import HeldOut, hold_out
-from imr_torch.gap.score import BOOTSTRAP
+from imr_torch.goodness.phases import noise_shares
+from imr_torch.goodness.score import BOOTSTRAP
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator

@@ -16,10 +16,10 @@ from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Inquiry, near_values
 from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, finish, fit_hypotheses, laplace_evidence
-from imr_torch.gap.phases import PHASES, noise_shares, phase_numbers
 from imr_torch.gap.prediction import GEL_SCATTER, HeldOut
-from imr_torch.gap.score import ADEQUATE, GapTest
 from imr_torch.gap.shrinkage import compare, reductions
+from imr_torch.goodness.phases import PHASES, noise_shares, phase_numbers
+from imr_torch.goodness.score import ADEQUATE, GapTest
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
@@ -36,7 +36,7 @@ class Left:
     """What a fit leaves in one phase of the bubble's life, root mean square over all mean curves, in R*.
 
     Args:
-        phase: one of :data:`imr_torch.gap.phases.PHASES`.
+        phase: one of :data:`imr_torch.goodness.phases.PHASES`.
         misfit: of the residual beyond its noise; 0 if none.
         noise: of the mean curves, no more than the residuals leave room for.
         share: of the squared misfit of all phases.

@@ -16,9 +16,9 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
-from imr_torch.gap.linear import Linearisation
 from imr_torch.gap.locate import frames_between
 from imr_torch.gap.restrict import moved, refit, restrict
+from imr_torch.goodness.linear import Linearisation
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 

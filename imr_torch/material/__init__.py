@@ -1,4 +1,4 @@
-"""Stage 1, the gel: parameters, constitutive models, effects, and what is believed of them.
+"""The gel: parameters, constitutive models, effects, and what is believed of them.
 
 Every module of this folder is imported, so that a new file with a model or an effect registers it by being there.
 """

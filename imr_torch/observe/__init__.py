@@ -1,4 +1,4 @@
-"""Stage 3, observations: reading files, landmarks, noise, and experiments as dimensionless batches."""
+"""Observations: reading files, landmarks, noise, and experiments as dimensionless batches."""
 
 from imr_torch.observe import formats as formats  # registers the readers of the package
 from imr_torch.observe.collapse import CollapseShot, CollapseTime, load_collapse_times

@@ -134,6 +134,7 @@ def fit_noise(
     times: list[Float[Tensor, "_"]],
     *,
     fitted: float = 0.0,
+    independent: bool = False,
 ) -> Noise:
     """Maximum-likelihood scale, floor and correlation time of residuals; slope and drift keep their proportion.
 
@@ -146,6 +147,7 @@ def fit_noise(
         predictions: the predicted R* of each.
         times: their times, dimensionless.
         fitted: parameters that were fitted to these data, which took as many degrees of freedom out of the residuals.
+        independent: whether only laws of independent frames are compared.
 
     Returns:
         The law with its ``scale``, ``floor`` and ``correlation_time`` replaced; as it was, where the fit left fewer than ten
@@ -165,7 +167,7 @@ def fit_noise(
     if free < FEWEST_RESIDUALS:
         return noise
     best: tuple[float, Noise] | None = None
-    for correlation_time in _CORRELATION_TIMES:
+    for correlation_time in (0.0,) if independent else _CORRELATION_TIMES:
         unit = replace(noise, scale=1.0, correlation_time=correlation_time)
         factors = [unit.innovations(t[None], torch.ones_like(t[None], dtype=torch.bool)) for t in times]
         for factor in _FLOORS:

@@ -1,4 +1,4 @@
-"""Stage after selection, the population of gels: how much the gel differs from shot to shot, and what its median is."""
+"""The population of gels: how much the gel differs from shot to shot, and what its median is."""
 
 from imr_torch.population.closed_form import GaussianShots
 from imr_torch.population.infer import SCALE, coordinate_units, infer_population

@@ -1,7 +1,8 @@
 """Every shot fitted on its own, with one law of the noise for all, and its posterior weighted by draws.
 
 The noise is estimated from the residuals of these fits and not from a common one, in which shots that differ would look like
-noise. The cost is linear in the number of shots.
+noise; where the model misses the curves, frames are taken as independent and the noise is enlarged for residuals that drift
+(:mod:`imr_torch.assimilate.misfit_noise`). The cost is linear in the number of shots.
 """
 
 from collections.abc import Sequence
@@ -9,9 +10,12 @@ from dataclasses import replace
 
 import torch
 
-from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, SearchOptions, assimilate, weigh
+from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, Posterior, SearchOptions, assimilate, weigh
+from imr_torch.assimilate.misfit_noise import enlarged
 from imr_torch.assimilate.noise_estimation import freedom_of
 from imr_torch.errors import InputDataError
+from imr_torch.goodness import check_fit
+from imr_torch.goodness.score import LEVEL
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, fit_noise
 from imr_torch.random import child
@@ -90,6 +94,8 @@ def fit_shots(
         fits = found
         if not last:
             current = shared_noise(fits, law)
+            if not _explained(fits, simulator, child(seed, "explains", number)):
+                current = shared_misfit_law(fits, law, simulator)
             if progress:
                 progress(f"noise {current}")
     weighted = []
@@ -100,12 +106,32 @@ def fit_shots(
     return tuple(weighted)
 
 
-def shared_noise(fits: Sequence[Assimilation], law: Noise) -> Noise:
+def _explained(fits: Sequence[Assimilation], simulator: Simulator, seed: int) -> bool:
+    """Whether no shot is missed by its own fit, by the smallest p-value times their number (Bonferroni); untested ones pass."""
+    tests = (check_fit(found.fits[0], found.batch, simulator, seed=child(seed, n)) for n, found in enumerate(fits))
+    values = [test.p_value for test in tests if test.p_value is not None]
+    return not values or len(values) * min(values) >= LEVEL
+
+
+def shared_misfit_law(fits: Sequence[Assimilation], law: Noise, simulator: Simulator) -> Noise:
+    """The noise of one curve where the model misses the shots: independent frames, enlarged for residuals that drift.
+
+    Args:
+        fits: of the shots.
+        law: as for :func:`shared_noise`.
+        simulator: makes the bubbles.
+    """
+    near = [Posterior(f.fits[0].prior, f.batch, simulator).neighbourhood(f.fits[0].point) for f in fits]
+    return enlarged(shared_noise(fits, law, independent=True), shared_noise(fits, law), near)
+
+
+def shared_noise(fits: Sequence[Assimilation], law: Noise, *, independent: bool = False) -> Noise:
     """The noise of one curve, one law fitted to the residuals of all shots, each with a gel of its own.
 
     Args:
         fits: of the shots.
         law: to begin with, as for :func:`imr_torch.observe.fit_noise`.
+        independent: whether only laws of independent frames are compared.
     """
     residuals, predictions, times = [], [], []
     for found in fits:
@@ -115,4 +141,4 @@ def shared_noise(fits: Sequence[Assimilation], law: Noise) -> Noise:
         predictions.append(seen[frames])
         times.append(batch.times[0][frames])
     fitted = sum(freedom_of(found.fits[0], found.batch) for found in fits)
-    return fit_noise(law, residuals, predictions, times, fitted=fitted)
+    return fit_noise(law, residuals, predictions, times, fitted=fitted, independent=independent)

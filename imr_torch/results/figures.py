@@ -16,7 +16,7 @@ from scipy.stats import norm
 
 from imr_torch.errors import InputDataError
 from imr_torch.gap.plots import plot_causes, plot_scores
-from imr_torch.gap.score import BlockResult, GapTest
+from imr_torch.goodness.score import BlockResult, GapTest
 from imr_torch.labels import R_STAR, T_STAR, file_name, plain
 from imr_torch.material import Belief, material
 from imr_torch.plot import (

@@ -1,4 +1,4 @@
-"""Stage 5, model selection: evidence with its Monte Carlo error, probabilities, and predictive scores beside them."""
+"""Model selection: evidence with its Monte Carlo error, probabilities, and predictive scores beside them."""
 
 from imr_torch.select.evidence import Evidence, evidences, log_evidence
 from imr_torch.select.identifiability import Bound, Identifiability, identifiability

@@ -1,4 +1,4 @@
-"""Stage 2, the bubble: from a gel and a design to radius, velocity and pressure over time."""
+"""The bubble: from a gel and a design to radius, velocity and pressure over time."""
 
 import importlib
 

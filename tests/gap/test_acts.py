@@ -5,8 +5,8 @@ import torch
 
 from imr_torch.gap.acts import WhereItActs, where_it_acts
 from imr_torch.gap.hypotheses import Hypothesis
-from imr_torch.gap.linear import linearise
-from imr_torch.gap.phases import PHASES
+from imr_torch.goodness.linear import linearise
+from imr_torch.goodness.phases import PHASES
 from imr_torch.material import LIBRARY
 from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 

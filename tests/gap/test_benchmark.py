@@ -35,7 +35,7 @@ from imr_torch.design import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.gap import LIBRARY
 from imr_torch.gap.hypotheses import fit_null
-from imr_torch.gap.linear import linearise
+from imr_torch.goodness.linear import linearise
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.observe.sets import NUISANCE

@@ -6,11 +6,11 @@ import torch
 from imr_torch.errors import InputDataError
 from imr_torch.gap import locate
 from imr_torch.gap.latent import CAVEAT, latent_pressure, matern
-from imr_torch.gap.linear import Linearisation, linearise
 from imr_torch.gap.locate import Trend, by_experiment, onset
-from imr_torch.gap.phases import PHASES, phase_clock, phase_name
 from imr_torch.gap.restrict import calibrate, draw_residuals, refit, restrict
 from imr_torch.gap.windows import moving_windows
+from imr_torch.goodness.linear import Linearisation, linearise
+from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
 from imr_torch.observe import Nuisance
 from tests.gap.synthetic import DESIGNS, SIMULATOR, fit, shoot
 

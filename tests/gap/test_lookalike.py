@@ -8,8 +8,8 @@ import torch
 
 from imr_torch.gap.evidence import check_evidence, rescaled_evidence
 from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence
-from imr_torch.gap.linear import Linearisation
 from imr_torch.gap.lookalike import Likeness, angles, likeness, look_alikes
+from imr_torch.goodness.linear import Linearisation
 from imr_torch.material import LIBRARY, library
 from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 

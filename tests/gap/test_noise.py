@@ -8,7 +8,7 @@ import torch
 from imr_torch.errors import InputDataError
 from imr_torch.gap import LIBRARY, library
 from imr_torch.gap.adequacy import adequacy_test
-from imr_torch.gap.score import LEVEL
+from imr_torch.goodness.score import LEVEL
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
 from imr_torch.observe.roughness import LEAST, LEAST_CONSTANT, noise_of_traces

@@ -7,9 +7,9 @@ import torch
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap import refitted
-from imr_torch.gap.linear import Linearisation, linearise
 from imr_torch.gap.refitted import refitted_directions
-from imr_torch.gap.score import effect_directions
+from imr_torch.goodness.linear import Linearisation, linearise
+from imr_torch.goodness.score import effect_directions
 from imr_torch.material import LIBRARY, Effect
 from imr_torch.observe import ExperimentBatch, Nuisance
 from tests.gap.synthetic import SIMULATOR, fit, shoot

@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.gap.phases import PHASES, noise_shares, phase_name, phase_numbers
 from imr_torch.gap.prediction import HeldOut
 from imr_torch.gap.shrinkage import reductions
 from imr_torch.gap.stepwise import left_over
+from imr_torch.goodness.phases import PHASES, noise_shares, phase_name, phase_numbers
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import generator
 from tests.gap.synthetic import DESIGNS, fit, shoot

@@ -17,8 +17,8 @@ from scipy.stats import chi2, ncx2
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.linear import Linearisation, curves
-from imr_torch.gap.phases import noise_shares, phase_numbers
+from imr_torch.goodness.linear import Linearisation, curves
+from imr_torch.goodness.phases import noise_shares, phase_numbers
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import generator
@@ -85,7 +85,7 @@ class GapTest:
         p_value: of the smallest block p-value, calibrated for the number of blocks.
         blocks: each block's own result, smallest p-value first.
         bias_sigma: root mean square of the residual beyond noise, in single-shot standard deviations; 0 if none. The noise of
-            each phase counts as no more than the residuals leave room for (:func:`imr_torch.gap.phases.noise_shares`).
+            each phase counts as no more than the residuals leave room for (:func:`imr_torch.goodness.phases.noise_shares`).
         bias_radius: the same in R*.
     """
 

@@ -85,7 +85,7 @@ def noise_shares(squares: Sequence[Float[Tensor, "*frames"]], phase: Int[Tensor,
         Tensor of that shape.
 
     >>> import torch
-    >>> from imr_torch.gap.phases import noise_shares
+    >>> from imr_torch.goodness.phases import noise_shares
     >>> phase = torch.tensor([0] * 50 + [1] * 50)
     >>> squares = torch.cat((torch.full((50,), 4.0), torch.full((50,), 0.1)))  # too little scatter in the second phase
     >>> [round(share, 3) for share in noise_shares([squares], phase)[[0, 50]].tolist()]

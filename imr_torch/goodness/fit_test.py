@@ -6,6 +6,7 @@ taken from the frame-to-frame roughness of the curves (:func:`imr_torch.observe.
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,9 +15,9 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
-from imr_torch.gap.linear import Linearisation, curves, linearise, shifted
-from imr_torch.gap.phases import phase_clock, phase_name
-from imr_torch.gap.score import LEVEL, gap_test, generic_blocks
+from imr_torch.goodness.linear import Linearisation, curves, linearise, shifted
+from imr_torch.goodness.phases import phase_clock, phase_name
+from imr_torch.goodness.score import LEVEL, gap_test, generic_blocks
 from imr_torch.labels import p_value
 from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.observe.roughness import noise_of_traces
@@ -44,7 +45,7 @@ class FitTest:
         reason: why it was not tested; empty where it was.
         seconds: processor time.
 
-    >>> from imr_torch.gap import FitTest
+    >>> from imr_torch.goodness import FitTest
     >>> FitTest("nhkv", 0.31).sentence()
     'Fit: the model explains the curves within their noise (p = 0.31, nhkv).'
     """
@@ -99,7 +100,7 @@ def check_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
     >>> from imr_torch.assimilate import SearchOptions, assimilate
-    >>> from imr_torch.gap import check_fit
+    >>> from imr_torch.goodness import check_fit
     >>> from imr_torch.material import PARAMETERS
     >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
     >>> simulator, design = PolytropicSimulator(), torch.tensor([400.0, 0.22], dtype=torch.float64)
@@ -134,6 +135,26 @@ def check_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
         noise,
         seconds=time.process_time() - started,
     )
+
+
+def explains_curves(simulator: Simulator, *, seed: int) -> Callable[[ModelFit, ExperimentBatch], bool]:
+    """Whether fits explain their curves, for :func:`imr_torch.assimilate.assimilate_estimating_noise`.
+
+    Collapse times of the batch are left out; a fit that cannot be tested counts as one that explains.
+
+    Args:
+        simulator: makes the bubbles.
+        seed: of the tests.
+
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.goodness import explains_curves
+    >>> explains = explains_curves(PolytropicSimulator(), seed=0)  # explains(fit, batch) is True or False
+    """
+
+    def explains(fit: ModelFit, batch: ExperimentBatch) -> bool:
+        return check_fit(*fit.of_curves(batch), simulator, seed=seed).explained is not False
+
+    return explains
 
 
 def _settled(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> tuple[ModelFit, Linearisation]:

@@ -7,8 +7,8 @@ import pytest
 import torch
 from scipy.stats import binomtest, chi2
 
-from imr_torch.gap.linear import Linearisation, linearise
-from imr_torch.gap.score import LEVEL, Block, block, effect_directions, gap_test, generic_blocks, promising_starts
+from imr_torch.goodness.linear import Linearisation, linearise
+from imr_torch.goodness.score import LEVEL, Block, block, effect_directions, gap_test, generic_blocks, promising_starts
 from imr_torch.material import LIBRARY, library
 from imr_torch.random import generator
 from tests.gap.synthetic import SIMULATOR, fit, shoot
