@@ -11,7 +11,7 @@ from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import Noise
 
 
-def misfit_law(near: Neighbourhood, prior: NoisePrior) -> Noise:
+def misfit_law(fits: Sequence[Neighbourhood], prior: NoisePrior) -> Noise:
     """The noise law for a model that misses the curves: independent frames, enlarged for what its residuals have in common.
 
     A misfit drifts over the event. Taken for correlated noise, such a drift costs nothing, and the fit may pass beside the
@@ -21,20 +21,10 @@ def misfit_law(near: Neighbourhood, prior: NoisePrior) -> Noise:
     the gel, with ``S`` of the most probable law of correlated noise.
 
     Args:
-        near: the fit, simulated, with its local sensitivities.
+        fits: as for :func:`imr_torch.assimilate.noise_posterior.most_probable_law`.
         prior: of the law.
     """
-    return enlarged(most_probable_law(near, prior, independent=True), most_probable_law(near, prior), [near])
-
-
-def enlarged(law: Noise, drifting: Noise, fits: Sequence[Neighbourhood]) -> Noise:
-    """A law of independent frames, enlarged by what residuals of another law add to the variance of the gels.
-
-    Args:
-        law: of independent frames.
-        drifting: the most probable law of correlated noise.
-        fits: of one batch, or of several, each with a gel of its own.
-    """
+    law, drifting = most_probable_law(fits, prior, independent=True), most_probable_law(fits, prior)
     if drifting.correlation_time == 0.0:
         return law
     added, told = (sum(parts) for parts in zip(*(_variances(near, law, drifting) for near in fits), strict=True))

@@ -133,7 +133,7 @@ def estimated_noise(
     if not determines_noise(best, batch):
         return law
     near, prior = Posterior(best.prior, batch, simulator).neighbourhood(best.point), NoisePrior(law)
-    return most_probable_law(near, prior) if explains is None or explains(best, batch) else misfit_law(near, prior)
+    return (most_probable_law if explains is None or explains(best, batch) else misfit_law)([near], prior)
 
 
 def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:

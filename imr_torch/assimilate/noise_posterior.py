@@ -192,16 +192,18 @@ class _Local:
         determinant = torch.linalg.slogdet(equations.reduced.hessian).logabsdet + equations.reduced.nuisance_log_det
         return likelihood - prior + 0.5 * equations.whitened_gradient.square() - 0.5 * determinant
 
-    def best_scales(self) -> tuple[Tensor, Tensor]:
-        """Most probable logarithm of the scale of each pair, and its posterior standard deviation: two ``J`` tensors."""
-        centre = 0.5 * (self.square / self.size).log()
-        width = torch.full_like(centre, 1.0)
-        for half in _SEARCH:
-            low, middle, high = self.marginal(centre[:, None] + torch.tensor([-half, 0.0, half]).double()).unbind(1)
-            slope, bend = (high - low) / (2.0 * half), (2.0 * middle - low - high) / half**2
-            bend = bend.clamp_min(0.5)
-            centre, width = centre + (slope / bend).clamp(-1.0, 1.0), bend.rsqrt()
-        return centre, width
+
+def _best_scales(fits: Sequence[_Local]) -> tuple[Tensor, Tensor]:
+    """Most probable log scale of each pair, one for all fits, and its posterior standard deviation: two ``J`` tensors."""
+    centre = 0.5 * (torch.stack([fit.square for fit in fits]).sum(0) / sum(fit.size for fit in fits)).log()
+    width = torch.full_like(centre, 1.0)
+    for half in _SEARCH:
+        tried = centre[:, None] + torch.tensor([-half, 0.0, half]).double()
+        low, middle, high = torch.stack([fit.marginal(tried) for fit in fits]).sum(0).unbind(1)
+        slope, bend = (high - low) / (2.0 * half), (2.0 * middle - low - high) / half**2
+        bend = bend.clamp_min(0.5)
+        centre, width = centre + (slope / bend).clamp(-1.0, 1.0), bend.rsqrt()
+    return centre, width
 
 
 def _equations(near: Neighbourhood, pairs: _Pairs) -> NormalEquations:
@@ -241,20 +243,20 @@ def marginal(near: Neighbourhood, law: Noise) -> float:
     return float(_Local.of(near, pairs).marginal((law.scale * one).log()[:, None]))
 
 
-def most_probable_law(near: Neighbourhood, prior: NoisePrior, *, independent: bool = False) -> Noise:
+def most_probable_law(fits: Sequence[Neighbourhood], prior: NoisePrior, *, independent: bool = False) -> Noise:
     """The noise law of largest marginal likelihood, of a grid of floors and correlation times, each at its best scale.
 
     Args:
-        near: the fit, simulated, with its local sensitivities.
+        fits: simulated, each with its local sensitivities; of one batch, or of several with gels of their own and one noise.
         prior: of the law.
         independent: whether only laws of independent frames are compared.
     """
     pairs = _Pairs.of(prior)
     if independent:
         pairs = pairs[pairs.times == 0.0]
-    local = _Local.of(near, pairs)
-    centre, _ = local.best_scales()
-    value = local.marginal(centre[:, None])[:, 0]
+    local = [_Local.of(near, pairs) for near in fits]
+    centre, _ = _best_scales(local)
+    value = torch.stack([one.marginal(centre[:, None])[:, 0] for one in local]).sum(0)
     best = int(torch.nonzero(value >= value.max() - TIE)[0])
     return replace(
         pairs.law,
@@ -340,7 +342,7 @@ class NoiseNodes:
         """
         pairs = _Pairs.of(prior)
         local = _Local.of(near, pairs)
-        centre, width = local.best_scales()
+        centre, width = _best_scales([local])
         value = local.marginal(centre[:, None])[:, 0] + width.log() + pairs.log_prior
         rows, stride = _thinned(pairs.places, value >= value.max() - _WITHIN)
         steps = _STEP * torch.arange(-_BELOW, _ABOVE + 1, dtype=torch.float64)

@@ -9,7 +9,7 @@ from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
 from imr_torch.observe.load import SUFFIXES, find_files, load_traces
 from imr_torch.observe.medium import GelMedium, Statement, gel_medium
-from imr_torch.observe.noise import Noise, fit_noise
+from imr_torch.observe.noise import Noise
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.plausibility import check_experiment, check_maximum
 from imr_torch.observe.prepare import Prepared, prepare
@@ -50,7 +50,6 @@ __all__ = [
     "displaced",
     "find_files",
     "find_landmarks",
-    "fit_noise",
     "gel_medium",
     "load_collapse_times",
     "load_set",

@@ -1,8 +1,8 @@
-"""Observation noise of the radius: the published law, and one fitted to residuals.
+"""Observation noise of the radius: the published law, with a floor and correlated frames.
 
 The law of Chu, Estrada & Bryngelson (arXiv 2409.00011) is ``sigma = |R* - 1|/50 + t*/160``; it vanishes at ``t* = 0``, so
-a floor is added in quadrature. Real residuals are larger and correlated in time, because a fit of a wrong model errs
-smoothly; :func:`fit_noise` estimates scale, floor and correlation time from them by maximum likelihood.
+a floor is added in quadrature. Scale, floor and correlation time of measured curves are estimated about a fit
+(:mod:`imr_torch.assimilate.noise_posterior`).
 """
 
 import math
@@ -14,13 +14,11 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 
-_CORRELATION_TIMES = (0.0, 0.02, 0.04, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6, 2.26, 3.2)
 FEWEST_RESIDUALS = 10
 """Degrees of freedom that residuals must have for the noise to be estimated from them."""
 
 TIE = 1e-6
 """Nats below which two laws are equally likely: one without slope and drift has the same likelihood at every floor."""
-_FLOORS = (1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 16.0, 25.0, 40.0, 60.0, 100.0)  # times the floor of the law, at its scale
 
 
 @dataclass(frozen=True)
@@ -125,64 +123,3 @@ class Noise:
 def previous(values: Float[Tensor, "*batch frames"]) -> Float[Tensor, "*batch frames"]:
     """Values ``... x T`` moved by one frame, 0 before the first."""
     return torch.nn.functional.pad(values[..., :-1], (1, 0))
-
-
-def fit_noise(
-    noise: Noise,
-    residuals: list[Float[Tensor, "_"]],
-    predictions: list[Float[Tensor, "_"]],
-    times: list[Float[Tensor, "_"]],
-    *,
-    fitted: float = 0.0,
-    independent: bool = False,
-) -> Noise:
-    """Maximum-likelihood scale, floor and correlation time of residuals; slope and drift keep their proportion.
-
-    The floor is that of the law or more: what pixels add is the same at every radius, and a law that says less than they do
-    where the bubble is large and slow gives those frames a weight they do not have.
-
-    Args:
-        noise: the law to begin with.
-        residuals: one ``n_t`` tensor per experiment, observed minus predicted R*.
-        predictions: the predicted R* of each.
-        times: their times, dimensionless.
-        fitted: parameters that were fitted to these data, which took as many degrees of freedom out of the residuals.
-        independent: whether only laws of independent frames are compared.
-
-    Returns:
-        The law with its ``scale``, ``floor`` and ``correlation_time`` replaced; as it was, where the fit left fewer than ten
-        degrees of freedom, since so few residuals understate the noise.
-
-    >>> import torch
-    >>> from imr_torch.observe import Noise, fit_noise
-    >>> from imr_torch.random import generator
-    >>> radius, times = torch.full((900,), 0.5).double(), torch.linspace(0.1, 3.0, 900, dtype=torch.float64)
-    >>> error = 3.0 * Noise().sd(radius, times) * torch.randn(900, generator=generator(0), dtype=torch.float64)
-    >>> fitted = fit_noise(Noise(), [error], [radius], [times])
-    >>> round(fitted.scale, 1), fitted.correlation_time
-    (3.0, 0.0)
-    """
-    frames = sum(r.numel() for r in residuals)
-    free = frames - fitted
-    if free < FEWEST_RESIDUALS:
-        return noise
-    best: tuple[float, Noise] | None = None
-    for correlation_time in (0.0,) if independent else _CORRELATION_TIMES:
-        unit = replace(noise, scale=1.0, correlation_time=correlation_time)
-        factors = [unit.innovations(t[None], torch.ones_like(t[None], dtype=torch.bool)) for t in times]
-        for factor in _FLOORS:
-            law = replace(unit, floor=factor * noise.floor)
-            square, log_sd = 0.0, 0.0
-            for residual, prediction, t, pair in zip(residuals, predictions, times, factors, strict=True):
-                sd = law.sd(prediction, t)
-                whitened, log_sd = residual / sd, log_sd + float(sd.log().sum())
-                if pair is not None:
-                    own, before = pair[0][0], pair[1][0]
-                    whitened = own * whitened - before * previous(whitened)
-                    log_sd -= float(own.log().sum())
-                square += float(whitened.square().sum())
-            cost = 0.5 * frames * math.log(square) + log_sd
-            if best is None or cost < best[0] - TIE:
-                best = cost, replace(law, scale=math.sqrt(square / free))
-    assert best is not None
-    return best[1]

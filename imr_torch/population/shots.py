@@ -10,14 +10,16 @@ from dataclasses import replace
 
 import torch
 
-from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, Posterior, SearchOptions, assimilate, weigh
-from imr_torch.assimilate.misfit_noise import enlarged
+from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, NoisePrior, Posterior, SearchOptions, assimilate, weigh
+from imr_torch.assimilate.misfit_noise import misfit_law
 from imr_torch.assimilate.noise_estimation import freedom_of
+from imr_torch.assimilate.noise_posterior import most_probable_law
 from imr_torch.errors import InputDataError
 from imr_torch.goodness import check_fit
 from imr_torch.goodness.score import LEVEL
 from imr_torch.material import Belief, ModelBelief
-from imr_torch.observe import Experiment, ExperimentBatch, Noise, fit_noise
+from imr_torch.observe import Experiment, ExperimentBatch, Noise
+from imr_torch.observe.noise import FEWEST_RESIDUALS
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
@@ -93,9 +95,7 @@ def fit_shots(
                 progress(f"shots: {experiment.label}, {len(found)}/{len(labels)}, round {number + 1}")
         fits = found
         if not last:
-            current = shared_noise(fits, law)
-            if not _explained(fits, simulator, child(seed, "explains", number)):
-                current = shared_misfit_law(fits, law, simulator)
+            current = shared_noise(fits, law, simulator, seed=child(seed, "noise", number))
             if progress:
                 progress(f"noise {current}")
     weighted = []
@@ -106,39 +106,21 @@ def fit_shots(
     return tuple(weighted)
 
 
-def _explained(fits: Sequence[Assimilation], simulator: Simulator, seed: int) -> bool:
-    """Whether no shot is missed by its own fit, by the smallest p-value times their number (Bonferroni); untested ones pass."""
-    tests = (check_fit(found.fits[0], found.batch, simulator, seed=child(seed, n)) for n, found in enumerate(fits))
-    values = [test.p_value for test in tests if test.p_value is not None]
-    return not values or len(values) * min(values) >= LEVEL
+def shared_noise(fits: Sequence[Assimilation], law: Noise, simulator: Simulator, *, seed: int) -> Noise:
+    """The noise of one curve, one law for all shots, each with a gel of its own: of the camera, or of a misfit.
 
-
-def shared_misfit_law(fits: Sequence[Assimilation], law: Noise, simulator: Simulator) -> Noise:
-    """The noise of one curve where the model misses the shots: independent frames, enlarged for residuals that drift.
+    The law as it was, where the fits left fewer than ten degrees of freedom.
 
     Args:
         fits: of the shots.
-        law: as for :func:`shared_noise`.
+        law: to begin with; slope and drift keep their proportion, and the floor is that of the law or more.
         simulator: makes the bubbles.
+        seed: of the tests whether the model explains the shots.
     """
-    near = [Posterior(f.fits[0].prior, f.batch, simulator).neighbourhood(f.fits[0].point) for f in fits]
-    return enlarged(shared_noise(fits, law, independent=True), shared_noise(fits, law), near)
-
-
-def shared_noise(fits: Sequence[Assimilation], law: Noise, *, independent: bool = False) -> Noise:
-    """The noise of one curve, one law fitted to the residuals of all shots, each with a gel of its own.
-
-    Args:
-        fits: of the shots.
-        law: to begin with, as for :func:`imr_torch.observe.fit_noise`.
-        independent: whether only laws of independent frames are compared.
-    """
-    residuals, predictions, times = [], [], []
-    for found in fits:
-        batch, frames, seen = found.batch, found.batch.mask[0], found.fits[0].prediction[0]
-        weight = batch.experiments[0].counts.sqrt()  # the mean of n curves errs by that of one over sqrt(n)
-        residuals.append((batch.mean[0] - seen)[frames] * weight)
-        predictions.append(seen[frames])
-        times.append(batch.times[0][frames])
-    fitted = sum(freedom_of(found.fits[0], found.batch) for found in fits)
-    return fit_noise(law, residuals, predictions, times, fitted=fitted, independent=independent)
+    pairs = [(found.fits[0], found.batch) for found in fits]
+    if sum(float(batch.mask.sum()) - freedom_of(fit, batch) for fit, batch in pairs) < FEWEST_RESIDUALS:
+        return law
+    near = [Posterior(fit.prior, batch, simulator).neighbourhood(fit.point) for fit, batch in pairs]
+    tests = [check_fit(*pair, simulator, seed=child(seed, number)).p_value for number, pair in enumerate(pairs)]
+    explained = min((p for p in tests if p is not None), default=1.0) * len(tests) >= LEVEL  # Bonferroni
+    return (most_probable_law if explained else misfit_law)(near, NoisePrior(law))

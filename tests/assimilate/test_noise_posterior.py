@@ -19,9 +19,9 @@ from imr_torch.assimilate import (
 from imr_torch.assimilate.misfit_noise import misfit_law
 from imr_torch.assimilate.noise_posterior import marginal, most_probable_law
 from imr_torch.errors import InputDataError
-from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
 from imr_torch.select import cross_validate
+from tests.drifting import Slow, drifting
 from tests.linear import CORRELATED, NOISE, LinearSimulator, exact, experiments, prior, tensor
 
 PRIOR = prior(("nhkv",))
@@ -140,7 +140,7 @@ def test_that_the_most_probable_law_finds_long_correlations_that_a_fit_partly_ab
     ]
     batch = ExperimentBatch(tuple(shots), NOISE)
     near = Posterior(PART, batch, SIMULATOR).neighbourhood(fitted(batch)["nhkv"].point)
-    law = most_probable_law(near, LAWS)
+    law = most_probable_law([near], LAWS)
     assert law.scale == pytest.approx(1.0, rel=0.3 if tau else 0.06)
     assert law.correlation_time <= 0.02 if tau == 0.0 else 0.8 < law.correlation_time < 2.8
 
@@ -181,34 +181,14 @@ def test_that_an_impossible_prior_is_refused(change: dict[str, float], text: str
         NoisePrior(**change)
 
 
-class Slow(LinearSimulator):
-    """What parameters add changes as slowly as the residuals of a misfit drift."""
-
-    def _columns(self, frames: int, weber: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-        k, j = torch.arange(frames, dtype=torch.float64)[:, None], which.double()
-        units = tensor(*[self.units.get(name, 1.0) for name in PARAMETERS.names])[which]
-        return 0.1 * torch.cos((0.05 + 0.04 * j) * k + j) / units
-
-
-def drifting(seed: int) -> tuple[ExperimentBatch, torch.Tensor]:
-    """Four curves of a gel of the prior, with residuals that drift; their law states no correlation."""
-    source = torch.Generator().manual_seed(seed)
-    gel = torch.randn(2, generator=source, dtype=torch.float64)
-    times = torch.linspace(0.05, 2.5, 40, dtype=torch.float64)
-    clean = Slow()(PART.to_si(gel), tensor(400.0, 0.2), times).radius
-    seen = replace(NOISE, correlation_time=0.4).draw(clean, times, 4, generator=source)
-    shots = tuple(Experiment(f"{number}", (400.0, 0.2), times, curve[None]) for number, curve in enumerate(seen))
-    return ExperimentBatch(shots, NOISE), gel
-
-
 def test_that_the_law_of_a_misfit_fits_by_independent_frames_and_states_intervals_that_hold() -> None:
     """Intervals of independent frames are far too narrow for residuals that drift, and widened ones hold."""
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
     for seed in range(60):
         batch, gel = drifting(seed)
         fit = assimilate(PRIOR, batch, Slow(), seed=0, options=OPTIONS)["nhkv"]
-        law = misfit_law(near := Posterior(PART, batch, Slow()).neighbourhood(fit.point), LAWS)
-        alike = most_probable_law(near, LAWS, independent=True)
+        law = misfit_law([near := Posterior(PART, batch, Slow()).neighbourhood(fit.point)], LAWS)
+        alike = most_probable_law([near], LAWS, independent=True)
         assert law == replace(alike, scale=law.widened * alike.scale, widened=law.widened)
         for kind, scale in (("independent", law.scale / law.widened), ("widened", law.scale)):
             found = exact(PART, replace(batch, noise=replace(law, scale=scale)), Slow())

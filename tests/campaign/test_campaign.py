@@ -146,6 +146,17 @@ def test_noise_that_was_learnt_is_in_the_journal_and_is_what_the_next_design_exp
     assert again.plan.repeats == settings.plan.repeats
 
 
+@pytest.mark.parametrize("missed", [False, True])
+def test_that_noise_is_that_of_a_misfit_where_the_model_misses_what_was_told(tmp_path, missed):
+    truth = PARAMETERS.pack(CASE.truth | {"gas_loss": 2.0 if missed else 0.0})
+    laboratory = SimulatedLaboratory(SIMULATOR, truth, repeats=1)
+    settings = replace(SETTINGS, policy=Random(), learner=replace(SETTINGS.learner, noise_rounds=2))
+    run = campaign(tmp_path / "told", settings=settings)
+    step = run.tell(laboratory.shoot(torch.tensor([400.0, 0.2], dtype=torch.float64), seed=0))
+    assert (step.noise.widened > 1.0) == missed
+    assert campaign(tmp_path / "told", settings=settings).plan.noise == step.noise
+
+
 def test_telling_nothing_is_refused(tmp_path):
     with pytest.raises(InputDataError, match="at least one experiment"):
         campaign(tmp_path / "none").tell()

@@ -1,15 +1,13 @@
 """The noise law: its formula, what it draws, and what a fit of it recovers."""
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe import NUISANCES, Noise, Nuisance, displaced, fit_noise
-from imr_torch.observe.noise import _CORRELATION_TIMES
+from imr_torch.observe import NUISANCES, Noise, Nuisance, displaced
 from imr_torch.random import generator
 
 
@@ -93,80 +91,6 @@ def test_that_repeats_are_independent_and_the_seed_decides() -> None:
     assert not torch.equal(one, other)
     standard = (one - curve(times)) / noise.sd(curve(times), times)
     assert float((standard[1:] * standard[:-1]).mean(0).abs().max()) < 4.5 / 5000**0.5
-
-
-@pytest.mark.parametrize("scale", [0.3, 1.0, 4.0])
-@pytest.mark.parametrize("tau", [0.0, 0.1, 0.28])
-def test_that_a_fit_recovers_scale_and_correlation(scale: float, tau: float) -> None:
-    """Forty curves of sixty frames; the answer lies on the grid of correlation times, at most one node off."""
-    noise = Noise(scale=scale, correlation_time=tau)
-    times = [0.03 * torch.arange(60, dtype=torch.float64) + 0.001 * i for i in range(40)]
-    truth = [curve(t) for t in times]
-    source = generator(7)
-    residuals = [noise.draw(r, t, 1, generator=source)[0] - r for r, t in zip(truth, times, strict=True)]
-    found = fit_noise(Noise(scale=77.0, correlation_time=0.02), residuals, truth, times)
-    nodes = _CORRELATION_TIMES
-    assert abs(nodes.index(found.correlation_time) - nodes.index(tau)) <= (tau > 0.0)
-    assert found.scale == pytest.approx(scale, rel=0.15 if tau else 0.06)
-    assert noise.floor <= found.floor <= 1.5 * noise.floor
-    assert (found.slope, found.drift) == (noise.slope, noise.drift)
-
-
-@pytest.mark.parametrize("pixels", [0.003, 0.01])
-def test_that_a_fit_finds_noise_that_is_the_same_at_every_radius(pixels: float) -> None:
-    """A camera of some pixels beside .2 of the published law: what is constant is found, and the law is not made to bear it."""
-    times = [0.03 * torch.arange(60, dtype=torch.float64) + 0.001 * i for i in range(40)]
-    truth = [curve(t) for t in times]
-    noise, source = Noise(scale=0.2, floor=pixels / 0.2), generator(7)
-    residuals = [noise.draw(r, t, 1, generator=source)[0] - r for r, t in zip(truth, times, strict=True)]
-    found = fit_noise(Noise(), residuals, truth, times)
-    assert found.scale * found.floor == pytest.approx(pixels, rel=0.1)
-    assert found.scale < 0.5
-
-
-def test_that_fitted_parameters_count() -> None:
-    times = [frames(40)]
-    residuals = [Noise().draw(curve(t), t, 1, generator=generator(2))[0] - curve(t) for t in times]
-    known, fitted = (fit_noise(Noise(), residuals, [curve(times[0])], times, fitted=k) for k in (0.0, 10.0))
-    assert replace(fitted, scale=known.scale) == known
-    assert fitted.scale == pytest.approx(known.scale * (40.0 / 30.0) ** 0.5, rel=1e-9)
-    law = Noise(scale=3.0)
-    assert fit_noise(law, residuals, [curve(times[0])], times, fitted=31.0) == law  # nine residuals say nothing
-
-
-def test_that_the_fitted_law_is_the_most_likely_one_of_its_grid() -> None:
-    """By the multivariate normal density of the residuals under every correlation time, at its own best scale."""
-    times, noise = [frames(20, seed=i) for i in range(6)], Noise(scale=1.7, correlation_time=0.1)
-    truth = [curve(t) for t in times]
-    source = generator(5)
-    residuals = [noise.draw(r, t, 1, generator=source)[0] - r for r, t in zip(truth, times, strict=True)]
-    found = fit_noise(Noise(), residuals, truth, times)
-
-    def log_density(law: Noise) -> float:
-        total = 0.0
-        for e, r, t in zip(residuals, truth, times, strict=True):
-            sd = law.sd(r, t)
-            covariance = sd[:, None] * correlation(t, law.correlation_time) * sd
-            total += float(torch.distributions.MultivariateNormal(torch.zeros_like(e), covariance).log_prob(e))
-        return total
-
-    best = log_density(found)
-    for factor in (0.97, 1.03):
-        assert log_density(replace(found, scale=factor * found.scale)) < best
-    for floor in (0.002, 0.0044, 0.01):
-        for tau in _CORRELATION_TIMES:
-            if (floor, tau) == (found.floor, found.correlation_time):
-                continue
-            for scale in torch.linspace(0.8, 3.0, 23).tolist():
-                assert log_density(Noise(scale=scale, floor=floor, correlation_time=tau)) < best
-
-
-def test_that_the_inputs_of_a_fit_are_not_changed() -> None:
-    times = [frames()]
-    residuals, predictions = [0.01 * torch.sin(9.0 * times[0])], [curve(times[0])]
-    copies = [x[0].clone() for x in (residuals, predictions, times)]
-    fit_noise(Noise(), residuals, predictions, times)
-    assert all(torch.equal(a[0], b) for a, b in zip((residuals, predictions, times), copies, strict=True))
 
 
 @pytest.mark.parametrize("name", ["scale", "floor"])

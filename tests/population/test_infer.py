@@ -9,6 +9,7 @@ from torch import Tensor
 
 from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.assimilate import SearchOptions, assimilate, weigh
+from imr_torch.assimilate.noise_estimation import estimated_noise
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance, SimulatedLaboratory, predict
@@ -20,7 +21,8 @@ from imr_torch.random import generator
 from tests.curved import CurvedSimulator
 from tests.linear import MEANS, NOISE, SDS, LinearSimulator, prior, tensor
 
-PART = prior(("nhkv",))["nhkv"]
+PRIOR = prior(("nhkv",))
+PART = PRIOR["nhkv"]
 SCALE = 0.5
 OPTIONS = SearchOptions(raw_samples=16, starts=2)
 NUISANCE = Nuisance(time_zero=0.03, rest_radius=0.05)
@@ -260,16 +262,17 @@ def test_that_a_parameter_that_rises_with_the_bubble_is_named() -> None:
 
 
 def test_that_shots_that_differ_are_not_taken_for_noise() -> None:
-    experiments = shots(LinearSimulator(), (0.5, 0.5), 8)
+    experiments = shots(LinearSimulator(), (2.0, 0.5), 8)
     fits = fit_shots(PART, experiments, LinearSimulator(), noise=NOISE, rounds=0, options=OPTIONS, samples=25)
-    own = shared_noise(fits, NOISE)
+    own = shared_noise(fits, NOISE, LinearSimulator(), seed=0)
     typical = [
         float(noise.sd(torch.tensor([0.5], dtype=torch.float64), torch.tensor([1.0], dtype=torch.float64)))
         for noise in (own, NOISE)
     ]
     assert typical[0] == pytest.approx(typical[1], rel=0.3)
-    wrong = [replace(fit, fits=(replace(fit.fits[0], prediction=0.5 * fit.fits[0].prediction),)) for fit in fits]  # far off
-    assert shared_noise(wrong, NOISE).scale > 2.0 * own.scale
+    one = ExperimentBatch(tuple(experiments), NOISE)
+    common = estimated_noise(assimilate(PRIOR, one, LinearSimulator(), seed=0, options=OPTIONS), NOISE, LinearSimulator())
+    assert common.scale > 2.0 * own.scale  # one gel for all shots
 
 
 def test_that_quantiles_of_equal_weights_are_those_of_the_sample() -> None:
