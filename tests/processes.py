@@ -2,9 +2,12 @@
 
 Loading PyTorch, Numba, SciPy, BoTorch and Matplotlib takes seconds of each process that simulates. The process that forks, run as
 ``python tests/processes.py``, imports these and nothing of the package, so that a script finds the registries as a fresh
-interpreter would. Where processes cannot be forked, a script runs in a fresh interpreter.
+interpreter would. It also lets Numba read the types that it compiles for, which it puts off until it first compiles, and leaves
+all this out of garbage collections: one that visits the objects of the libraries makes the forked process copy them. Where
+processes cannot be forked, a script runs in a fresh interpreter.
 """
 
+import gc
 import json
 import os
 import runpy
@@ -21,6 +24,7 @@ LIBRARIES = (  # dependencies of the package
     *("torch", "torchdiffeq", "jaxtyping", "numba", "filelock", "h5py", "pymatreader", "arviz_stats.base.array"),
     *("scipy.stats", "scipy.optimize", "scipy.integrate", "scipy.special", "scipy.io", "matplotlib.pyplot"),
     *("gpytorch.mlls", "botorch.acquisition.logei", "botorch.models", "botorch.fit", "botorch.optim"),
+    "torch.fx.experimental.symbolic_shapes",  # which PyTorch imports when shapes are first broadcast
 )
 
 
@@ -92,9 +96,14 @@ def become(job: dict) -> None:
 
 
 def load(libraries: Sequence[str]) -> None:
-    """Import what scripts will need."""
+    """Import what scripts will need, and keep it."""
     for name in libraries:
         __import__(name)
+    target = sys.modules["numba"].core.registry.cpu_target
+    target.typing_context.refresh()
+    target.target_context.refresh()
+    gc.collect()
+    gc.freeze()
     assert not [name for name in sys.modules if name.partition(".")[0] == "imr_torch"]
 
 
