@@ -146,16 +146,17 @@ def exact(part: ModelBelief, batch: ExperimentBatch, simulator: LinearSimulator 
         gap = (shot.times[:, None] - shot.times).abs()
         tau = batch.noise.correlation_time
         correlation = torch.exp(-gap / tau) if tau else torch.eye(frames, dtype=torch.float64)
+        expected = simulator(start, design, shot.times).radius
         for curve in shot.radius:
             observed.append(curve)
-            means.append(simulator(start, design, shot.times).radius)
+            means.append(expected)
             rows.append(torch.cat((columns, nuisance), dim=1))
             noises.append((batch.noise.scale * batch.noise.floor) ** 2 * correlation)
     y, m, A, R = torch.cat(observed), torch.cat(means), torch.cat(rows), torch.block_diag(*noises)
-    total = A @ A.mT + R
-    gain = A.mT @ torch.linalg.inv(total)
-    mean = gain @ (y - m)
-    covariance = torch.eye(A.shape[1], dtype=torch.float64) - gain @ A
-    residual = torch.linalg.solve(total, y - m) @ (y - m)
-    evidence = -0.5 * float(residual + torch.logdet(total) + len(y) * math.log(2.0 * math.pi))
+    root = torch.linalg.cholesky(A @ A.mT + R)
+    a, z = torch.linalg.solve_triangular(root, torch.cat((A, (y - m)[:, None]), dim=1), upper=False).split((A.shape[1], 1), dim=1)
+    mean = (a.mT @ z)[:, 0]
+    covariance = torch.eye(A.shape[1], dtype=torch.float64) - a.mT @ a
+    logdet = 2.0 * root.diagonal().log().sum()
+    evidence = -0.5 * float(z.square().sum() + logdet + len(y) * math.log(2.0 * math.pi))
     return Exact(mean[:d], covariance[:d, :d], mean[d:].reshape(count, 3), evidence)

@@ -28,20 +28,20 @@ from imr_torch.random import child
 from imr_torch.simulate import Simulator, fewer_steps
 
 _DECIDING = (
-    "score",
-    "adequacy",
-    "lookalike",
-    "evidence",
-    "verdict",
-    "attribute",
-    "diagnose",
-    "hypotheses",
-    "locate",
-    "refitted",
-    "restrict",
-    "prediction",
-    "shrinkage",
-    "windows",
+    "goodness.score",
+    "gap.adequacy",
+    "gap.lookalike",
+    "gap.evidence",
+    "gap.verdict",
+    "gap.attribute",
+    "gap.diagnose",
+    "gap.hypotheses",
+    "gap.locate",
+    "gap.refitted",
+    "gap.restrict",
+    "gap.prediction",
+    "gap.shrinkage",
+    "gap.windows",
 )
 _LOUD = 4.5  # sd at which one test of hundreds rejects at one per cent
 _LESS = 0.7  # amplitude of a second start over the true one
@@ -78,8 +78,8 @@ class Extras:
 def thresholds() -> dict[str, str]:
     """Every constant of the modules that decide, by module and name."""
     found = {"assimilate.SearchOptions": repr(SearchOptions())}
-    for name in _DECIDING:
-        module = importlib.import_module(f"imr_torch.gap.{name}")
+    for place in _DECIDING:
+        module, name = importlib.import_module(f"imr_torch.{place}"), place.partition(".")[2]
         for key, value in vars(module).items():
             plain = isinstance(value, numbers.Number | tuple) or (is_dataclass(value) and not isinstance(value, type))
             if key.isupper() and plain:

@@ -3,11 +3,14 @@
 Gauss-Newton leaves out the curvature of the cost that comes from residuals. Where a model misses the data they are tens of
 standard deviations, every step has to be damped, and a hundred do not converge. BFGS estimates that curvature (Nocedal &
 Wright, Numerical Optimization, 2nd ed. 2006, chapter 6). It begins in coordinates in which the Gauss-Newton Hessian is the
-identity.
+identity, with the solver steps of a leader for all bubbles, so that the cost is smooth (Bock, in: Modelling of Chemical
+Reaction Systems, Springer 1981, freezes the steps of an integrator likewise). The steps of another leader move the minimum by
+some hundredths of a posterior standard deviation where residuals are large: a chain that ends close to its leader keeps it.
 """
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -22,45 +25,86 @@ from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 
 Vector = NDArray[np.float64]
 
-NEAR = 0.01
-"""Posterior standard deviations from a minimum from which Gauss-Newton converges by itself."""
-
 _ROUNDS = 3  # each with a new leader: far from it the cost is not smooth
+_CLOSE = 0.1  # posterior standard deviations from a leader within which no new one is needed
+_FINER = 0.25  # part of the tolerance of the gradient that these steps leave
 _STEPS = 80
+_LAST = 6
 _WALL = 1e10  # cost where a bubble fails: no step ends there
 
 
 def polish_slow(searches: Sequence[Chains], options: SearchOptions) -> tuple[list[Chains], bool]:
-    """Lower the best two chains of each model that have not converged, and say whether there are any.
+    """Lower the best two chains of each model that began and have not converged, and say whether there are any.
 
     Chains more than ``drop_behind`` above the lowest cost of all models are left as they are.
     """
     limit = lowest_cost(searches) + (math.inf if options.drop_behind is None else options.drop_behind)
     result, polished = [], False
     for chains in searches:
-        slow = ~chains.finished & ~chains.masking & (chains.gradient > NEAR) & (chains.cost < limit)
+        slow = ~chains.masking & chains.gradient.isfinite() & (chains.gradient > options.gradient) & (chains.cost < limit)
         rows = torch.nonzero(slow)[:, 0]
         rows = rows[torch.argsort(chains.cost[rows])][:2]
         if rows.numel():
-            ends = [polish(chains.posterior, chains.point[row]) for row in rows.tolist()]
-            point = Point(torch.stack([end.gel for end in ends]), torch.stack([end.nuisances for end in ends]))
-            chains, polished = chains.restarted(rows, point), True
+            ends = [polish(chains.posterior, chains.point[row], options.gradient) for row in rows.tolist()]
+            chains = chains.restarted(rows, _stacked([end.point for end in ends]))
+            leader, scale = _stacked([end.leader for end in ends]), torch.stack([end.scale for end in ends])
+            chains, polished = chains.put(rows, leading=True, leader=leader, scale=scale), True
         result.append(chains)
     return result, polished
 
 
-def polish(posterior: Posterior, point: Point) -> Point:
-    """Where quasi-Newton steps from one point end: near a minimum of the cost, or as low as they came."""
-    scale = torch.eye(posterior.size, dtype=torch.float64)
+def _stacked(points: Sequence[Point]) -> Point:
+    return Point(torch.stack([point.gel for point in points]), torch.stack([point.nuisances for point in points]))
+
+
+@dataclass(frozen=True)
+class Polished:
+    """Where quasi-Newton steps ended.
+
+    Args:
+        point: near a minimum of the cost, or as low as they came.
+        leader: whose solver steps the bubbles took.
+        scale: ``d x d`` tensor, Cholesky factor of the gel's covariance there.
+    """
+
+    point: Point
+    leader: Point
+    scale: Tensor
+
+
+def polish(posterior: Posterior, point: Point, gradient: float) -> Polished:
+    """Quasi-Newton steps from one point.
+
+    Args:
+        posterior: whose cost is lowered.
+        point: where they begin.
+        gradient: what is left is a fraction of this, posterior standard deviations.
+    """
+    scale, leader = torch.eye(posterior.size, dtype=torch.float64), point
     for _ in range(_ROUNDS):
-        whitened = _Whitened(posterior, point, scale)
-        if whitened.near:
-            break
+        whitened, leader = _Whitened(posterior, point, scale), point
         scale = whitened.chol
         still = np.zeros(posterior.size + point.nuisances.shape[0] * len(posterior.uncertain))
-        found = minimize(whitened, still, jac=True, method="BFGS", options={"gtol": NEAR, "maxiter": _STEPS})
-        point = whitened.place(found.x)
-    return point
+        end = _lowered(whitened, still, _FINER * gradient)
+        point = whitened.place(end)
+        if np.linalg.norm(end) < _CLOSE:
+            break
+    return Polished(point, leader, scale)
+
+
+def _lowered(whitened: "_Whitened", begin: Vector, tolerance: float) -> Vector:
+    """BFGS from some coordinates; the last steps go by the gradient alone, where the cost no longer tells better from worse."""
+    found = minimize(whitened, begin, jac=True, method="BFGS", options={"gtol": tolerance, "maxiter": _STEPS})
+    end, slope = found.x, found.jac
+    for _ in range(_LAST):
+        if np.abs(slope).max() < tolerance:
+            break
+        tried = end - found.hess_inv @ slope
+        other = whitened(tried)[1]
+        if not 0.0 < np.linalg.norm(other) < np.linalg.norm(slope):
+            break
+        end, slope = tried, other
+    return end
 
 
 class _Whitened:
@@ -76,7 +120,6 @@ class _Whitened:
         self.posterior, self.leader, self.scale = posterior, leader, scale
         equations = self._at(leader).equations
         reduced = equations.reduced
-        self.near = float(equations.whitened_gradient) < NEAR
         self.chol, self.response = equations.posterior_chol, reduced.nuisance_response
         chol = torch.linalg.cholesky(equations.nuisance_hessian)
         eye = torch.eye(chol.shape[-1], dtype=torch.float64).expand_as(chol)

@@ -27,7 +27,7 @@ from imr_torch.types import Progress
 
 _CANDIDATES = 6  # effects that are fitted in a later step
 _FIT = SearchOptions(starts=2, iterations=12, drop_behind=6.0, basin_rounds=0, polish=False)
-_FINISH = SearchOptions(starts=2, iterations=40, basin_rounds=0)
+_FINISH = SearchOptions(starts=2, iterations=15, basin_rounds=0)
 _CLEAR = 10.0  # standard deviations from zero at which an effect is kept: some 50 nats
 
 

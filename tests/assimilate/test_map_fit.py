@@ -241,7 +241,7 @@ def test_that_among_models_a_second_start_does_not_wait_for_the_last_digits_of_t
     """A tolerance that rounding does not allow keeps the first start going; the second has set out long before it rests."""
     belief, batch = prior(("nhkv",)), experiments(3)
     lines: list[str] = []
-    options = SearchOptions(drop_behind=5.0, gradient=1e-30, iterations=6)
+    options = SearchOptions(drop_behind=5.0, gradient=1e-30, iterations=6, polish=False)
     starts = [tensor((0.3, 0.0), (1.5, 0.5))]
     found = assimilate(
         belief, batch, LinearSimulator(), seed=1, options=options, starts=starts, warn=False, progress=lines.append

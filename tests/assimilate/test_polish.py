@@ -37,6 +37,21 @@ class Circle(LinearSimulator):
         return self(parameters, designs, times)
 
 
+class Rough(Circle):
+    """A solver whose steps, those of the leader, change every radius by as much as moves the minimum noticeably."""
+
+    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        return self._rough(super().__call__(parameters, designs, times), parameters)
+
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        return self._rough(super().__call__(parameters, designs, times), parameters[..., :1, :])
+
+    def _rough(self, made: Solution, leader: Tensor) -> Solution:
+        stiff = (leader[..., PARAMETERS.index(["G"])[0], None] - MEANS["G"]) / SDS["G"]
+        steps = torch.sin(1e7 * stiff + torch.arange(made.radius.shape[-1]))
+        return replace(made, radius=made.radius + 1e-4 * steps)
+
+
 def nearly_central(nuisance: Nuisance | None = None) -> ExperimentBatch:
     phase = 2.0 * math.pi * torch.arange(len(TIMES)) / 12
     radius = 0.6 + 0.3 * TIMES + NEARLY_CENTRAL * 0.1 * torch.cos(phase - TURN)
@@ -62,6 +77,18 @@ def test_that_a_crawling_fit_arrives_and_would_not_alone(monkeypatch, nuisance: 
     assert alone.cost > arrived.cost + 1.0
 
 
+def test_that_a_minimum_under_the_steps_of_a_leader_is_certified_though_that_under_other_steps_lies_elsewhere() -> None:
+    options = SearchOptions(raw_samples=24)
+    found = assimilate(prior(("nhkv",)), nearly_central(), Rough(), seed=1, options=options, starts=[STARTS], warn=False).fits[
+        0
+    ]
+    assert found.certificate.converged
+    posterior = Posterior(found.prior, nearly_central(), Rough())
+    elsewhere = Point(found.mean + 1e-6, found.nuisances)
+    assert float(posterior.neighbourhood(elsewhere).equations.whitened_gradient) > 3.0 * options.gradient
+    assert float((found.mean - fitted(nearly_central()).mean).norm() / found.chol.norm()) < 0.3
+
+
 def test_that_a_fit_that_arrives_by_itself_is_left_alone(monkeypatch) -> None:
     monkeypatch.setattr(polish, "polish", lambda *_: pytest.fail("polished"))
     found = assimilate(prior(), experiments(3), LinearSimulator(), seed=1, options=SearchOptions(raw_samples=24))
@@ -74,7 +101,7 @@ def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
     barred = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
     posterior = Posterior(prior(("nhkv",)).models[0], batch, barred)
     begun = Point(STARTS[0], posterior.still())
-    ended = polish.polish(posterior, begun)
+    ended = polish.polish(posterior, begun, 1e-3).point
     costs = [-float(posterior.log_joint(point)) for point in (begun, ended)]
     assert costs[1] < costs[0] < math.inf
     assert 0.5 < float(ended.gel[1]) < 0.8
