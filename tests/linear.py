@@ -154,7 +154,9 @@ def exact(part: ModelBelief, batch: ExperimentBatch, simulator: LinearSimulator 
             noises.append((batch.noise.scale * batch.noise.floor) ** 2 * correlation)
     y, m, A, R = torch.cat(observed), torch.cat(means), torch.cat(rows), torch.block_diag(*noises)
     root = torch.linalg.cholesky(A @ A.mT + R)
-    a, z = torch.linalg.solve_triangular(root, torch.cat((A, (y - m)[:, None]), dim=1), upper=False).split((A.shape[1], 1), dim=1)
+    a, z = torch.linalg.solve_triangular(root, torch.cat((A, (y - m)[:, None]), dim=1), upper=False).split(
+        (A.shape[1], 1), dim=1
+    )
     mean = (a.mT @ z)[:, 0]
     covariance = torch.eye(A.shape[1], dtype=torch.float64) - a.mT @ a
     logdet = 2.0 * root.diagonal().log().sum()

@@ -34,14 +34,15 @@ _WALL = 1e10  # cost where a bubble fails: no step ends there
 
 
 def polish_slow(searches: Sequence[Chains], options: SearchOptions) -> tuple[list[Chains], bool]:
-    """Lower the best two chains of each model that began and have not converged, and say whether there are any.
+    """Lower the best two chains, of those that began, of each model that has not converged, and say whether there are any.
 
     Chains more than ``drop_behind`` above the lowest cost of all models are left as they are.
     """
     limit = lowest_cost(searches) + (math.inf if options.drop_behind is None else options.drop_behind)
     result, polished = [], False
     for chains in searches:
-        slow = ~chains.masking & chains.gradient.isfinite() & (chains.gradient > options.gradient) & (chains.cost < limit)
+        begun = ~chains.masking & chains.gradient.isfinite() & (chains.cost < limit)
+        slow = begun & (chains.gradient > options.gradient) & (not _converged(chains, options))
         rows = torch.nonzero(slow)[:, 0]
         rows = rows[torch.argsort(chains.cost[rows])][:2]
         if rows.numel():
@@ -51,6 +52,12 @@ def polish_slow(searches: Sequence[Chains], options: SearchOptions) -> tuple[lis
             chains, polished = chains.put(rows, leading=True, leader=leader, scale=scale), True
         result.append(chains)
     return result, polished
+
+
+def _converged(chains: Chains, options: SearchOptions) -> bool:
+    """Whether two starts agree and one of them is at a minimum."""
+    agreeing = chains.cost <= chains.lowest + options.agreement
+    return int(agreeing.sum()) > 1 and bool((chains.gradient[agreeing] < options.gradient).any())
 
 
 def _stacked(points: Sequence[Point]) -> Point:
