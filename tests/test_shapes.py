@@ -20,13 +20,13 @@ CHECKED = (
     "tests/design/test_closed_form.py",
     "tests/design/test_likelihood.py",
     "tests/population/test_closed_form.py",
-    "tests/gap/test_score.py",
+    "tests/goodness/test_score.py",
     "tests/gap/test_locate.py",
     "tests/gap/test_shrinkage.py::test_that_a_fitted_nuisance_takes_a_shifted_clock_out_of_the_residual",
     "tests/export/test_sbi.py",
     "tests/test_examples.py",
 )
-STAGES = ("material", "simulate", "observe", "assimilate", "select", "calibration", "gap", "export")
+STAGES = ("material", "simulate", "observe", "assimilate", "goodness", "select", "calibration", "gap", "export")
 SLOW = (
     "integrates_to_one",
     "noise_estimation",
