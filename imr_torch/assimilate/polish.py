@@ -29,7 +29,7 @@ _ROUNDS = 3  # each with a new leader: far from it the cost is not smooth
 _CLOSE = 0.1  # posterior standard deviations from a leader within which no new one is needed
 _FINER = 0.25  # part of the tolerance of the gradient that these steps leave
 _STEPS = 80
-_LAST = 6
+_LAST = 6  # steps by the gradient alone
 _WALL = 1e10  # cost where a bubble fails: no step ends there
 
 
@@ -70,7 +70,7 @@ class Polished:
 
     Args:
         point: near a minimum of the cost, or as low as they came.
-        leader: whose solver steps the bubbles took.
+        leader: whose solver steps the bubbles take; the point itself where that was too far away.
         scale: ``d x d`` tensor, Cholesky factor of the gel's covariance there.
     """
 
@@ -87,7 +87,7 @@ def polish(posterior: Posterior, point: Point, gradient: float) -> Polished:
         point: where they begin.
         gradient: what is left is a fraction of this, posterior standard deviations.
     """
-    scale, leader = torch.eye(posterior.size, dtype=torch.float64), point
+    scale = torch.eye(posterior.size, dtype=torch.float64)
     for _ in range(_ROUNDS):
         whitened, leader = _Whitened(posterior, point, scale), point
         scale = whitened.chol
@@ -95,8 +95,8 @@ def polish(posterior: Posterior, point: Point, gradient: float) -> Polished:
         end = _lowered(whitened, still, _FINER * gradient)
         point = whitened.place(end)
         if np.linalg.norm(end) < _CLOSE:
-            break
-    return Polished(point, leader, scale)
+            return Polished(point, leader, scale)
+    return Polished(point, point, scale)
 
 
 def _lowered(whitened: "_Whitened", begin: Vector, tolerance: float) -> Vector:

@@ -35,7 +35,7 @@ from imr_torch.types import Progress
 
 _REFITS = 4  # times that a model is fitted again, at most
 _PAIRS = 4  # of nuisances for each draw from the third round on, where more than half of the effective draws were lost
-_FEWER = 4  # part of the draws that a model far behind gets
+_FEWER = 4  # a model far behind gets one draw in so many
 _FREEDOM = 15
 """Degrees of freedom of what proposes nuisances: heavier tails than a Gaussian's, which costs 3 % of the draws an experiment
 where the posterior is one. Of 17 models of real files 3 were refused by a Gaussian, 1 by these (or 7, at 8 % an experiment)."""
