@@ -4,8 +4,9 @@ Gauss-Newton leaves out the curvature of the cost that comes from residuals. Whe
 standard deviations, every step has to be damped, and a hundred do not converge. BFGS estimates that curvature (Nocedal &
 Wright, Numerical Optimization, 2nd ed. 2006, chapter 6). It begins in coordinates in which the Gauss-Newton Hessian is the
 identity, with the solver steps of a leader for all bubbles, so that the cost is smooth (Bock, in: Modelling of Chemical
-Reaction Systems, Springer 1981, freezes the steps of an integrator likewise). The steps of another leader move the minimum by
-some hundredths of a posterior standard deviation where residuals are large: a chain that ends close to its leader keeps it.
+Reaction Systems, Springer 1981, freezes the steps of an integrator likewise). Far from the leader these steps are too coarse
+and the cost has ripples, so that a point that moves away becomes the next leader. The steps of another leader move the minimum
+by some hundredths of a posterior standard deviation where residuals are large: a chain that ends close to its leader keeps it.
 """
 
 import math
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 from torch import Tensor
 
 from imr_torch.assimilate.chains import Chains, lowest_cost
@@ -25,10 +26,12 @@ from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 
 Vector = NDArray[np.float64]
 
-_ROUNDS = 3  # each with a new leader: far from it the cost is not smooth
-_CLOSE = 0.1  # posterior standard deviations from a leader within which no new one is needed
+_ROUNDS = 8  # each with a new leader
+_CLOSE = 0.1  # posterior standard deviations from a leader within which it is kept
+_FAR, _FARTHER = 1.5, 2.0  # the same beyond which the first round ends, and the factor from round to round
 _FINER = 0.25  # part of the tolerance of the gradient that these steps leave
-_STEPS = 80
+_STEPS = 40  # in a round
+_POINTS = 140  # in all rounds, each with the points beside it for differences
 _LAST = 6  # steps by the gradient alone
 _WALL = 1e10  # cost where a bubble fails: no step ends there
 
@@ -36,7 +39,8 @@ _WALL = 1e10  # cost where a bubble fails: no step ends there
 def polish_slow(searches: Sequence[Chains], options: SearchOptions) -> tuple[list[Chains], bool]:
     """Lower the best two chains, of those that began, of each model that has not converged, and say whether there are any.
 
-    Chains more than ``drop_behind`` above the lowest cost of all models are left as they are.
+    Chains more than ``drop_behind`` above the lowest cost of all models are left as they are, and the second where the first
+    did not arrive at a minimum: the two could not agree.
     """
     limit = lowest_cost(searches) + (math.inf if options.drop_behind is None else options.drop_behind)
     result, polished = [], False
@@ -46,7 +50,10 @@ def polish_slow(searches: Sequence[Chains], options: SearchOptions) -> tuple[lis
         rows = torch.nonzero(slow)[:, 0]
         rows = rows[torch.argsort(chains.cost[rows])][:2]
         if rows.numel():
-            ends = [polish(chains.posterior, chains.point[row], options.gradient) for row in rows.tolist()]
+            ends = [polish(chains.posterior, chains.point[int(rows[0])], options.gradient)]
+            if len(rows) > 1 and ends[0].arrived:
+                ends.append(polish(chains.posterior, chains.point[int(rows[1])], options.gradient))
+            rows = rows[: len(ends)]
             chains = chains.restarted(rows, _stacked([end.point for end in ends]))
             leader, scale = _stacked([end.leader for end in ends]), torch.stack([end.scale for end in ends])
             chains, polished = chains.put(rows, leading=True, leader=leader, scale=scale), True
@@ -72,11 +79,13 @@ class Polished:
         point: near a minimum of the cost, or as low as they came.
         leader: whose solver steps the bubbles take; the point itself where that was too far away.
         scale: ``d x d`` tensor, Cholesky factor of the gel's covariance there.
+        arrived: whether it is near its leader.
     """
 
     point: Point
     leader: Point
     scale: Tensor
+    arrived: bool
 
 
 def polish(posterior: Posterior, point: Point, gradient: float) -> Polished:
@@ -87,31 +96,45 @@ def polish(posterior: Posterior, point: Point, gradient: float) -> Polished:
         point: where they begin.
         gradient: what is left is a fraction of this, posterior standard deviations.
     """
-    scale = torch.eye(posterior.size, dtype=torch.float64)
-    for _ in range(_ROUNDS):
-        whitened, leader = _Whitened(posterior, point, scale), point
+    scale, points = torch.eye(posterior.size, dtype=torch.float64), _POINTS
+    for number in range(_ROUNDS):
+        whitened, leader = _Whitened(posterior, point, scale, points), point
         scale = whitened.chol
-        still = np.zeros(posterior.size + point.nuisances.shape[0] * len(posterior.uncertain))
-        end = _lowered(whitened, still, _FINER * gradient)
-        point = whitened.place(end)
+        end = _lowered(whitened, _FINER * gradient, _FAR * _FARTHER**number)
+        point, points = whitened.place(end), whitened.left
         if np.linalg.norm(end) < _CLOSE:
-            return Polished(point, leader, scale)
-    return Polished(point, point, scale)
+            return Polished(point, leader, scale, arrived=True)
+        if points <= 0:
+            break
+    return Polished(point, point, scale, arrived=False)
 
 
-def _lowered(whitened: "_Whitened", begin: Vector, tolerance: float) -> Vector:
-    """BFGS from some coordinates; the last steps go by the gradient alone, where the cost no longer tells better from worse."""
-    found = minimize(whitened, begin, jac=True, method="BFGS", options={"gtol": tolerance, "maxiter": _STEPS})
-    end, slope = found.x, found.jac
-    for _ in range(_LAST):
-        if np.abs(slope).max() < tolerance:
-            break
-        tried = end - found.hess_inv @ slope
-        other = whitened(tried)[1]
-        if not 0.0 < np.linalg.norm(other) < np.linalg.norm(slope):
-            break
-        end, slope = tried, other
+def _lowered(whitened: "_Whitened", tolerance: float, far: float) -> Vector:
+    """BFGS from the leader until far from it; the last steps go by the gradient alone, where the cost is no longer exact enough."""
+
+    def stop(intermediate_result: OptimizeResult) -> None:
+        if np.linalg.norm(intermediate_result.x) > far:
+            raise StopIteration
+
+    begin, options = np.zeros(whitened.size), {"gtol": tolerance, "maxiter": _STEPS}
+    try:
+        found = minimize(whitened, begin, jac=True, method="BFGS", callback=stop, options=options)
+        end, slope = found.x, found.jac
+        for _ in range(_LAST):
+            if np.abs(slope).max() < tolerance or np.linalg.norm(end) > far:
+                break
+            tried = end - found.hess_inv @ slope
+            other = whitened(tried)[1]
+            if not 0.0 < np.linalg.norm(other) < np.linalg.norm(slope):
+                break
+            end, slope = tried, other
+    except _NoneLeft:
+        return whitened.lowest[1]
     return end
+
+
+class _NoneLeft(Exception):
+    """All points that were allowed have been simulated."""
 
 
 class _Whitened:
@@ -121,10 +144,13 @@ class _Whitened:
         posterior: whose cost.
         leader: the point; its bubbles lead those of all others.
         scale: ``d x d`` tensor, in whose columns the gel is moved for differences.
+        left: points that may be simulated.
     """
 
-    def __init__(self, posterior: Posterior, leader: Point, scale: Tensor) -> None:
-        self.posterior, self.leader, self.scale = posterior, leader, scale
+    def __init__(self, posterior: Posterior, leader: Point, scale: Tensor, left: int) -> None:
+        self.posterior, self.leader, self.scale, self.left = posterior, leader, scale, left
+        self.size = posterior.size + leader.nuisances.shape[0] * len(posterior.uncertain)
+        self.lowest = (math.inf, np.zeros(self.size))
         equations = self._at(leader).equations
         reduced = equations.reduced
         self.chol, self.response = equations.posterior_chol, reduced.nuisance_response
@@ -134,7 +160,7 @@ class _Whitened:
 
     def place(self, x: Vector) -> Point:
         """The point at coordinates."""
-        own, others = torch.from_numpy(x).split([self.posterior.size, len(x) - self.posterior.size])
+        own, others = torch.from_numpy(x).split([self.posterior.size, self.size - self.posterior.size])
         moved, uncertain = self.chol @ own, self.posterior.uncertain
         white = torch.zeros_like(self.leader.nuisances)
         white[:, uncertain] = others.reshape(len(white), len(uncertain))
@@ -143,10 +169,15 @@ class _Whitened:
 
     def __call__(self, x: Vector) -> tuple[float, Vector]:
         """Cost and gradient at coordinates."""
+        if self.left <= 0:
+            raise _NoneLeft
+        self.left -= 1
         near = self._at(self.place(x))
         cost = -float(near.log_joint)
         if not np.isfinite(cost):
             return _WALL, np.zeros_like(x)
+        if cost < self.lowest[0]:
+            self.lowest = cost, x.copy()
         by_gel, by_nuisance = near.equations.gel_gradient, near.equations.nuisance_gradient
         own = self.chol.mT @ (by_gel + (self.response.mT @ by_nuisance[..., None])[..., 0].sum(0))
         others = (self.nuisance_scale.mT @ by_nuisance[..., None])[..., 0][:, self.posterior.uncertain]
