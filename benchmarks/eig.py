@@ -1,6 +1,6 @@
 """Estimators of the information gain: what they cost, how few draws rank designs, and whether cheap bubbles can stand in.
 
-  python benchmarks/eig.py [--part estimators|ranking|fidelity|searching|model|differences] [--json OUT]
+  python benchmarks/eig.py [--part estimators|ranking|fidelity|searching|cost|model|differences] [--json OUT]
 
 The part `model` takes half a CPU hour; each design is a line of `benchmarks/records/eig_model.jsonl`, and designs that have
 one are not run again.
@@ -11,6 +11,7 @@ t* = 4 cut at the second collapse. CPU times are of the process, one thread.
 
 import argparse
 import json
+import statistics
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -42,7 +43,7 @@ from imr_torch.design.response import Shot, respond
 from imr_torch.files import write_json
 from imr_torch.material import reference_case
 from imr_torch.random import child, generator
-from imr_torch.simulate import ACCURACIES, PolytropicSimulator, Simulator, Solution, TransportSimulator
+from imr_torch.simulate import ACCURACIES, PolytropicSimulator, Simulator, Solution, TransportSimulator, coarser
 
 PRIOR = reference_case("stiff-pa").prior
 MODEL_RECORD = Path(__file__).parent / "records" / "eig_model.jsonl"
@@ -200,6 +201,29 @@ def searching() -> list[dict[str, Any]]:
     return rows
 
 
+def cost() -> list[dict[str, Any]]:
+    """What the refinement of rivals costs with heat and vapour transport: median CPU of an estimate and of a whole search."""
+    simulator = coarser(TransportSimulator(accuracy=ACCURACIES["search"], threads=1))
+    rows = []
+    for repeats, plan in PLANS.items():
+        row: dict[str, Any] = {"repeats": repeats}
+        for name, estimator in (("refined", Laplace(draws=16)), ("at a draw", Laplace(draws=16, refinements=0))):
+            estimates, searches = [], []
+            for point in designs(8):
+                started = time.process_time()
+                expected_information_gain(PRIOR, point[None], simulator, plan, estimator=estimator, seed=1)
+                estimates.append(time.process_time() - started)
+            for seed in range(3):
+                started = time.process_time()
+                search_design(ExpectedInformationGain(PRIOR, simulator, estimator, plan=plan), seed=seed)
+                searches.append(time.process_time() - started)
+            row[name] = {"estimate": statistics.median(estimates), "search": statistics.median(searches)}
+            taken = ", ".join(f"{what} {cpu:.3f} s" for what, cpu in row[name].items())
+            print(f"{repeats:4d} repeats, {name}: {taken}", flush=True)
+        rows.append(row)
+    return rows
+
+
 TEN = (
     (150.0, 0.15),
     (100.0, 0.14),
@@ -302,6 +326,7 @@ PARTS = {
     "ranking": ranking,
     "fidelity": fidelity,
     "searching": searching,
+    "cost": cost,
     "model": model,
     "differences": differences,
 }

@@ -161,7 +161,8 @@ base = {"G": 3000.0, "mu": 0.1}
 gels = torch.stack([PARAMETERS.pack(base | extra) for extra in ({}, {"G_mooney": 1500.0}, {"G_fast": 2e4, "tau_fast": 1e-5})])
 design = torch.tensor([550.0, 0.22], dtype=torch.float64)
 times = torch.linspace(0.0, 2.5, 251, dtype=torch.float64)
-for simulator in (PolytropicSimulator(), TransportSimulator(accuracy=ACCURACIES["fast"])):
+engine = "torchdiffeq" if SMOKE else "compiled"  # the same numbers; tensors need no compilation
+for simulator in (PolytropicSimulator(), TransportSimulator(accuracy=ACCURACIES["fast"], engine=engine)):
     solution = simulator(gels, design, times)
     assert bool(solution.ok.all())
     smallest, rebound = solution.radius.amin(1), solution.radius[:, len(times) // 2 :].amax(1)

@@ -110,7 +110,7 @@ def polish(posterior: Posterior, point: Point, gradient: float) -> Polished:
 
 
 def _lowered(whitened: "_Whitened", tolerance: float, far: float) -> Vector:
-    """BFGS from the leader until far from it; the last steps go by the gradient alone, where the cost is no longer exact enough."""
+    """BFGS from the leader until far from it; the last steps go by the gradient alone, where rounding hides a lower cost."""
 
     def stop(intermediate_result: OptimizeResult) -> None:
         if np.linalg.norm(intermediate_result.x) > far:
