@@ -191,7 +191,8 @@ def _line(key: str, value: float | None, colour: str, dash: str) -> dict[str, An
         if key.endswith("_s")
         else {"y0": at, "y1": at, "x0": 0, "x1": 1, "xref": "paper"}
     )
-    upright = {"textangle": 0, "textposition": "start"} if key.endswith("_s") else {"textposition": "end"}
+    side = "left" if key == "t_Rmax_s" else "right"  # towards the frames between the two vertical lines
+    upright = {"textangle": 0, "textposition": "start", "xanchor": side} if key.endswith("_s") else {"textposition": "end"}
     label = {"text": _NAMES[key], "font": {"size": 11, "color": colour}, **upright}
     line = {"color": colour, "width": 2, "dash": dash}
     return {"type": "line", "visible": value is not None, "line": line, "label": label} | place

@@ -188,6 +188,16 @@ def test_that_no_tab_is_wider_than_the_screen(app: App, name: str, width: int) -
     assert app.page.evaluate("document.documentElement.scrollWidth") <= width
 
 
+def test_that_all_tabs_are_in_sight_on_a_narrow_screen(app: App) -> None:
+    app.page.set_viewport_size({"width": 400, "height": 900})
+    boxes = [tab.bounding_box() for tab in app.page.get_by_role("tab").all()]
+    assert len(boxes) == 5
+    for box in boxes:
+        assert box is not None
+        assert box["x"] >= 0.0
+        assert box["x"] + box["width"] <= 400.0
+
+
 def test_that_nothing_was_loaded_from_elsewhere_and_nothing_failed_in_the_browser(app: App) -> None:
     assert app.hosts <= {app.address.split("/")[2], ""}
     assert app.errors == []

@@ -108,3 +108,38 @@ def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
     costs = [-float(posterior.log_joint(point)) for point in (begun, ended)]
     assert costs[1] < costs[0] < math.inf
     assert 0.5 < float(ended.gel[1]) < 0.8
+
+
+def test_that_no_more_points_are_simulated_than_allowed_and_the_lowest_is_kept(monkeypatch) -> None:
+    monkeypatch.setattr(polish, "_POINTS", 12)
+    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Circle())
+    begun = Point(STARTS[0], posterior.still())
+    simulated: list[float] = []
+    monkeypatch.setattr(Posterior, "neighbourhood", _counting(Posterior.neighbourhood, simulated))
+    ended = polish.polish(posterior, begun, 1e-3)
+    assert not ended.arrived
+    assert len(simulated) <= 12 + polish._ROUNDS  # and each round's leader
+    assert -float(posterior.log_joint(ended.point)) == pytest.approx(min(simulated), abs=1e-9)
+
+
+def _counting(neighbourhood, costs: list[float]):
+    def counted(self, *arguments, **options):
+        near = neighbourhood(self, *arguments, **options)
+        costs.append(-float(near.log_joint))
+        return near
+
+    return counted
+
+
+@pytest.mark.parametrize(("points", "polished"), [(12, 1), (140, 2)])
+def test_that_the_second_chain_is_left_where_the_first_did_not_arrive(monkeypatch, points: int, polished: int) -> None:
+    monkeypatch.setattr(polish, "_POINTS", points)
+    ends, real = [], polish.polish
+    monkeypatch.setattr(polish, "polish", lambda *given: ends.append(real(*given)) or ends[-1])
+    posterior, options = Posterior(prior(("nhkv",)).models[0], nearly_central(), Circle()), SearchOptions()
+    begun = iterate(Chains.at(posterior, Point(STARTS, posterior.still(2)), masking=False), options)
+    (chains,), any_slow = polish.polish_slow([begun], options)
+    assert any_slow
+    assert len(ends) == polished
+    assert ends[0].arrived == (polished == 2)
+    assert int((chains.point.gel != begun.point.gel).any(1).sum()) == polished
