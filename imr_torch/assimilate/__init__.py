@@ -9,7 +9,7 @@ from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitiv
 from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.assimilate.map_fit import assimilate
 from imr_torch.assimilate.noise_estimation import NOISE_ROUNDS, assimilate_estimating_noise
-from imr_torch.assimilate.noise_posterior import NoiseEdge, NoisePrior, noise_edges
+from imr_torch.assimilate.noise_prior import NoiseEdge, NoisePrior, noise_edges
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.assimilate.profile import Profile, profile

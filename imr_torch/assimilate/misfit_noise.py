@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import torch
 
-from imr_torch.assimilate.noise_posterior import NoisePrior, most_probable_law
+from imr_torch.assimilate.noise_law import most_probable_law
+from imr_torch.assimilate.noise_prior import NoisePrior
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import Noise
 
@@ -21,7 +22,7 @@ def misfit_law(fits: Sequence[Neighbourhood], prior: NoisePrior) -> Noise:
     the gel, with ``S`` of the most probable law of correlated noise.
 
     Args:
-        fits: as for :func:`imr_torch.assimilate.noise_posterior.most_probable_law`.
+        fits: as for :func:`imr_torch.assimilate.noise_law.most_probable_law`.
         prior: of the law.
     """
     law, drifting = most_probable_law(fits, prior, independent=True), most_probable_law(fits, prior)

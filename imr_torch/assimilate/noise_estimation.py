@@ -16,7 +16,8 @@ from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, ModelFit
 from imr_torch.assimilate.map_fit import assimilate
 from imr_torch.assimilate.misfit_noise import misfit_law
-from imr_torch.assimilate.noise_posterior import NoisePrior, most_probable_law
+from imr_torch.assimilate.noise_law import most_probable_law
+from imr_torch.assimilate.noise_prior import NoisePrior
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import InputDataError

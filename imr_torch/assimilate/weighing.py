@@ -22,7 +22,8 @@ from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.importance import ImportanceSample, NoiseSample, smooth
 from imr_torch.assimilate.lower import lower_minima, lower_point
-from imr_torch.assimilate.noise_posterior import NoiseNodes, NoisePrior
+from imr_torch.assimilate.noise_posterior import NoiseNodes
+from imr_torch.assimilate.noise_prior import NoisePrior
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.proposals import Kernels, mixture_log_prob, student_draws, student_log_prob
 from imr_torch.assimilate.ridge import trace_ridge

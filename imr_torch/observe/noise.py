@@ -2,7 +2,7 @@
 
 The law of Chu, Estrada & Bryngelson (arXiv 2409.00011) is ``sigma = |R* - 1|/50 + t*/160``; it vanishes at ``t* = 0``, so
 a floor is added in quadrature. Scale, floor and correlation time of measured curves are estimated about a fit
-(:mod:`imr_torch.assimilate.noise_posterior`).
+(:mod:`imr_torch.assimilate.noise_law`).
 """
 
 import math

@@ -13,7 +13,7 @@ import torch
 from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, NoisePrior, Posterior, SearchOptions, assimilate, weigh
 from imr_torch.assimilate.misfit_noise import misfit_law
 from imr_torch.assimilate.noise_estimation import freedom_of
-from imr_torch.assimilate.noise_posterior import most_probable_law
+from imr_torch.assimilate.noise_law import most_probable_law
 from imr_torch.errors import InputDataError
 from imr_torch.goodness import check_fit
 from imr_torch.goodness.score import LEVEL

@@ -17,7 +17,7 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.assimilate.misfit_noise import misfit_law
-from imr_torch.assimilate.noise_posterior import marginal, most_probable_law
+from imr_torch.assimilate.noise_law import marginal, most_probable_law
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
 from imr_torch.select import cross_validate
