@@ -193,6 +193,11 @@ class Population:
     def cautions(self) -> tuple[str, ...]:
         """What makes the numbers doubtful, a sentence each."""
         said = []
+        if self.noise.widened > 1.0:
+            said.append(
+                "the model misses curves of these shots; the fit of each passes through them, and intervals are widened for "
+                "what the residuals of all shots have in common."
+            )
         for trend in self.trends:
             if trend.p_value * len(self.trends) < _TREND and trend.name in self.varying:
                 word = "rises" if trend.correlation > 0.0 else "falls"
@@ -239,7 +244,7 @@ class Population:
         for check in self.checks:
             found = ", ".join(f"{name} {x[1]:.3f} ({x[0]:.3f} to {x[2]:.3f})" for name, x in check.scatter.items())
             lines.append(f"With a scale of {check.scale:g}: evidence of scatter {check.any_scatter}; scatter of {found}.")
-        lines.append(self.draws_line)
+        lines += [f"Noise of every shot: {self.noise}.", self.draws_line]
         return "\n".join([*lines, *(f"Caution: {text}" for text in self.cautions)])
 
     @property
