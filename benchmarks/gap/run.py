@@ -89,7 +89,8 @@ def thresholds() -> dict[str, str]:
 
 def frozen() -> str:
     """Hash of the thresholds and of the library with its priors and starts; it stands in every line."""
-    document = json.dumps([thresholds(), [repr(effect) for effect in LIBRARY.values()]])
+    effects = [(effect.name, list(effect.names), repr(effect.priors), effect.starts) for effect in LIBRARY.values()]
+    document = json.dumps([thresholds(), effects])
     return hashlib.sha256(document.encode()).hexdigest()[:12]
 
 
