@@ -272,6 +272,14 @@ def test_that_stated_probabilities_are_held_against_frequencies() -> None:
     assert (unknown.value, unknown.count) == (1.0, 50)
 
 
+def test_that_the_hash_of_a_line_is_of_values_and_not_of_where_they_lie_in_memory(monkeypatch) -> None:
+    before, effect = frozen(), LIBRARY["heat_exchange"]
+    monkeypatch.setitem(LIBRARY, effect.name, replace(effect, setting=lambda setting, _: setting))
+    assert frozen() == before
+    monkeypatch.setitem(LIBRARY, effect.name, replace(effect, starts=((0.25,),)))
+    assert frozen() != before
+
+
 def test_that_thresholds_are_those_of_the_library_and_a_change_shows() -> None:
     assert thresholds()["score.LEVEL"] == "0.04"
     assert thresholds()["score.ADEQUATE"] == "0.05"
