@@ -111,8 +111,8 @@ def _converged(
     """Iterated to convergence or the iteration limit; slow chains then get quasi-Newton steps and are iterated again."""
     searches = _iterated(searches, options, source, progress)
     if options.polish:
-        searches, polished = polish_slow(searches, options)
-        searches = _iterated(searches, options, source, progress) if polished else searches
+        searches, further = polish_slow(searches, options)
+        searches = _iterated(searches, further, source, progress) if further else searches
     return searches
 
 

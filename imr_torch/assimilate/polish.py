@@ -1,17 +1,19 @@
-"""Quasi-Newton steps for chains on which Gauss-Newton converges slowly.
+"""Damped, then quasi-Newton steps for chains on which Gauss-Newton converges slowly.
 
 Gauss-Newton leaves out the curvature of the cost that comes from residuals. Where a model misses the data they are tens of
 standard deviations, every step has to be damped, and a hundred do not converge. BFGS estimates that curvature (Nocedal &
 Wright, Numerical Optimization, 2nd ed. 2006, chapter 6). It begins in coordinates in which the Gauss-Newton Hessian is the
 identity, with the solver steps of a leader for all bubbles, so that the cost is smooth (Bock, in: Modelling of Chemical
 Reaction Systems, Springer 1981, freezes the steps of an integrator likewise). Far from the leader these steps are too coarse
-and the cost has ripples, so that a point that moves away becomes the next leader. The steps of another leader move the minimum
-by some hundredths of a posterior standard deviation where residuals are large: a chain that ends close to its leader keeps it.
+and the cost has ripples, so that a point that moves away becomes the next leader. A few damped Gauss-Newton steps, each with a
+leader of its own, come first: where the way is long ten of them gain what a hundred points of BFGS do. The steps of another
+leader move the minimum, by some hundredths of a posterior standard deviation and by a whole one where residuals are tens of
+them: a chain that ends close to its leader keeps it.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -31,34 +33,42 @@ _CLOSE = 0.1  # posterior standard deviations from a leader within which it is k
 _FAR, _FARTHER = 1.5, 2.0  # the same beyond which the first round ends, and the factor from round to round
 _FINER = 0.25  # part of the tolerance of the gradient that these steps leave
 _STEPS = 40  # in a round
-_POINTS = 140  # in all rounds, each with the points beside it for differences
+_POINTS = 90  # in all rounds and before them, each with the points beside it for differences
 _LAST = 6  # steps by the gradient alone
+_DAMPING, _HARDER, _EASIER, _STUCK = 1e-2, 4.0, 3.0, 1e4  # of Levenberg-Marquardt steps
+_DESCENT = 20  # of these at most; where the residuals bend the cost most, they crawl
+_GAIN, _SMALL = 0.5, 2  # nats; they end once so many in succession gain less
+_NOT_ARRIVED = 2  # iterations after a chain that did not arrive
 _WALL = 1e10  # cost where a bubble fails: no step ends there
 
 
-def polish_slow(searches: Sequence[Chains], options: SearchOptions) -> tuple[list[Chains], bool]:
-    """Lower the best two chains, of those that began, of each model that has not converged, and say whether there are any.
+def polish_slow(searches: Sequence[Chains], options: SearchOptions) -> tuple[list[Chains], SearchOptions | None]:
+    """Lower the best two chains, of those that began, of each model that has not converged; also how to iterate them further.
 
-    Chains more than ``drop_behind`` above the lowest cost of all models are left as they are, and the second where the first
-    did not arrive at a minimum: the two could not agree.
+    That is to convergence where a chain arrived at a minimum, else until its gradient is known; None where no chain was slow.
+    Chains more than ``drop_behind`` above the lowest cost of all models are left as they are, and the second where the
+    first did not arrive at a minimum: the two could not agree.
     """
     limit = lowest_cost(searches) + (math.inf if options.drop_behind is None else options.drop_behind)
-    result, polished = [], False
+    result, ends = [], list[Polished]()
     for chains in searches:
         begun = ~chains.masking & chains.gradient.isfinite() & (chains.cost < limit)
         slow = begun & (chains.gradient > options.gradient) & (not _converged(chains, options))
         rows = torch.nonzero(slow)[:, 0]
         rows = rows[torch.argsort(chains.cost[rows])][:2]
         if rows.numel():
-            ends = [polish(chains.posterior, chains.point[int(rows[0])], options.gradient)]
-            if len(rows) > 1 and ends[0].arrived:
-                ends.append(polish(chains.posterior, chains.point[int(rows[1])], options.gradient))
-            rows = rows[: len(ends)]
-            chains = chains.restarted(rows, _stacked([end.point for end in ends]))
-            leader, scale = _stacked([end.leader for end in ends]), torch.stack([end.scale for end in ends])
-            chains, polished = chains.put(rows, leading=True, leader=leader, scale=scale), True
+            own = [polish(chains.posterior, chains.point[int(rows[0])], options.gradient)]
+            if len(rows) > 1 and own[0].arrived:
+                own.append(polish(chains.posterior, chains.point[int(rows[1])], options.gradient))
+            rows = rows[: len(own)]
+            chains = chains.restarted(rows, _stacked([end.point for end in own]))
+            leader, scale = _stacked([end.leader for end in own]), torch.stack([end.scale for end in own])
+            chains = chains.put(rows, leading=True, leader=leader, scale=scale)
+            ends += own
         result.append(chains)
-    return result, polished
+    if not ends:
+        return result, None
+    return result, options if any(end.arrived for end in ends) else replace(options, iterations=_NOT_ARRIVED)
 
 
 def _converged(chains: Chains, options: SearchOptions) -> bool:
@@ -96,17 +106,55 @@ def polish(posterior: Posterior, point: Point, gradient: float) -> Polished:
         point: where they begin.
         gradient: what is left is a fraction of this, posterior standard deviations.
     """
-    scale, points = torch.eye(posterior.size, dtype=torch.float64), _POINTS
+    point, scale, points = _descended(posterior, point, _POINTS)
     for number in range(_ROUNDS):
         whitened, leader = _Whitened(posterior, point, scale, points), point
         scale = whitened.chol
-        end = _lowered(whitened, _FINER * gradient, _FAR * _FARTHER**number)
+        try:
+            end = _lowered(whitened, _FINER * gradient, _FAR * _FARTHER**number)
+        except _NoneLeft:
+            point = whitened.place(whitened.lowest[1])
+            break
         point, points = whitened.place(end), whitened.left
         if np.linalg.norm(end) < _CLOSE:
             return Polished(point, leader, scale, arrived=True)
-        if points <= 0:
-            break
     return Polished(point, point, scale, arrived=False)
+
+
+def _descended(posterior: Posterior, point: Point, points: int) -> tuple[Point, Tensor, int]:
+    """Levenberg-Marquardt steps until they gain little; also the gel's scale there, and the points that are left.
+
+    Every point leads its own bubbles and those of the steps tried from it: far from a minimum, costs behind one leader are
+    those of its solver steps rather than of the model.
+    """
+    scale, damping, small, before = torch.eye(posterior.size, dtype=torch.float64), _DAMPING, 0, point
+    for _ in range(min(_DESCENT, points)):
+        near, points = posterior.neighbourhood(point, scale, leader=point), points - 1
+        if not bool(torch.isfinite(near.log_joint)):  # its bubbles fail by steps of their own
+            return before, scale, points
+        scale = near.equations.posterior_chol
+        tried, gain, damping = _stepped(near, damping)
+        if gain <= 0.0:
+            break
+        before, point, damping = point, tried, damping / _EASIER
+        small = small + 1 if gain < _GAIN else 0
+        if small == _SMALL:
+            break
+    return point, scale, points
+
+
+def _stepped(near: Neighbourhood, damping: float) -> tuple[Point, float, float]:
+    """A step damped until it lowers the cost, what it gains, nats, and its damping; none that gains where none does."""
+    point, equations = near.point, near.equations
+    while damping < _STUCK:
+        gel, nuisances = equations.step(torch.tensor(damping, dtype=torch.float64))
+        tried = Point(point.gel + gel, point.nuisances + nuisances)
+        both = _stacked([point, tried])
+        gain = float(near.posterior.log_joint(both, near.posterior.predict(both, bundled=True))[1] - near.log_joint)
+        if gain > 0.0:
+            return tried, gain, damping
+        damping = max(damping, _DAMPING) * _HARDER
+    return point, 0.0, damping
 
 
 def _lowered(whitened: "_Whitened", tolerance: float, far: float) -> Vector:
@@ -117,19 +165,16 @@ def _lowered(whitened: "_Whitened", tolerance: float, far: float) -> Vector:
             raise StopIteration
 
     begin, options = np.zeros(whitened.size), {"gtol": tolerance, "maxiter": _STEPS}
-    try:
-        found = minimize(whitened, begin, jac=True, method="BFGS", callback=stop, options=options)
-        end, slope = found.x, found.jac
-        for _ in range(_LAST):
-            if np.abs(slope).max() < tolerance or np.linalg.norm(end) > far:
-                break
-            tried = end - found.hess_inv @ slope
-            other = whitened(tried)[1]
-            if not 0.0 < np.linalg.norm(other) < np.linalg.norm(slope):
-                break
-            end, slope = tried, other
-    except _NoneLeft:
-        return whitened.lowest[1]
+    found = minimize(whitened, begin, jac=True, method="BFGS", callback=stop, options=options)
+    end, slope = found.x, found.jac
+    for _ in range(_LAST):
+        if np.abs(slope).max() < tolerance or np.linalg.norm(end) > far:
+            break
+        tried = end - found.hess_inv @ slope
+        other = whitened(tried)[1]
+        if not 0.0 < np.linalg.norm(other) < np.linalg.norm(slope):
+            break
+        end, slope = tried, other
     return end
 
 

@@ -54,6 +54,15 @@ class Rough(Circle):
         return replace(made, radius=made.radius + 5e-6 * steps)
 
 
+class FailsAlone(Circle):
+    """Bubbles fail beyond a turn of .8 by steps of their own, not by those of a leader before it."""
+
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        made = self(parameters, designs, times)
+        turn = (parameters[..., :1, PARAMETERS.index(["mu"])[0], None] - MEANS["mu"]) / SDS["mu"]
+        return replace(made, radius=torch.where(turn < 0.8, made.radius, torch.nan))
+
+
 def nearly_central(nuisance: Nuisance | None = None) -> ExperimentBatch:
     phase = 2.0 * math.pi * torch.arange(len(TIMES)) / 12
     radius = 0.6 + 0.3 * TIMES + NEARLY_CENTRAL * 0.1 * torch.cos(phase - TURN)
@@ -73,7 +82,7 @@ def test_that_a_crawling_fit_arrives_and_would_not_alone(monkeypatch, nuisance: 
     arrived = fitted(batch)
     assert arrived.certificate.converged
     assert float(arrived.mean[1]) == pytest.approx(TURN, abs=0.05)  # the prior pulls
-    monkeypatch.setattr(map_fit, "polish_slow", lambda searches, _: (searches, False))
+    monkeypatch.setattr(map_fit, "polish_slow", lambda searches, _: (searches, None))
     alone = fitted(batch)
     assert not alone.certificate.converged
     assert alone.cost > arrived.cost + 1.0
@@ -109,6 +118,15 @@ def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
     costs = [-float(posterior.log_joint(point)) for point in (begun, ended)]
     assert costs[1] < costs[0] < math.inf
     assert 0.5 < float(ended.gel[1]) < 0.8
+
+
+def test_that_no_point_is_left_for_one_whose_own_bubbles_fail() -> None:
+    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), FailsAlone())
+    begun = Point(tensor(0.0, 0.77), posterior.still())
+    ended, _, left = polish._descended(posterior, begun, 50)
+    assert 0.77 < float(ended.gel[1]) < 0.8
+    assert 50 - polish._DESCENT < left < 50  # the steps met the bound
+    assert bool(torch.isfinite(posterior.neighbourhood(ended, leader=ended).log_joint))
 
 
 def test_that_no_more_points_are_simulated_than_allowed_and_the_lowest_is_kept(monkeypatch) -> None:

@@ -28,7 +28,7 @@ def _short(times: list[int]):
 
 def test_that_a_fit_without_time_to_arrive_is_taken_up_again(monkeypatch) -> None:
     batch, simulator = shoot({}, DESIGNS[:1], repeats=10, end=1.5), PolytropicSimulator()
-    monkeypatch.setattr(map_fit, "polish_slow", lambda searches, _: (searches, False))
+    monkeypatch.setattr(map_fit, "polish_slow", lambda searches, _: (searches, None))
     monkeypatch.setattr(hypotheses, "assimilate", _short([2]))
     fit = hypotheses.fit_null(BASE, batch, simulator, seed=0)
     assert fit.certificate.converged
