@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts are imported when they are used; `stats` takes long
 import torch
 from jaxtyping import Real
-from scipy import stats
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
@@ -138,15 +138,15 @@ def uniformity(values: Sequence[float], *, bins: int | None = None) -> Uniformit
     if len(found) < _FEWEST * bins:
         raise InputDataError(f"uniformity: {len(found)} values are too few for {bins} bins; {_FEWEST * bins} are needed.")
     counts = np.histogram(found, bins=bins, range=(0.0, 1.0))[0]
-    square = float((stats.norm.ppf(found.clip(_EDGE, 1.0 - _EDGE)) ** 2).sum())
-    below = stats.chi2.cdf(square, len(found))
+    square = float((scipy.stats.norm.ppf(found.clip(_EDGE, 1.0 - _EDGE)) ** 2).sum())
+    below = scipy.stats.chi2.cdf(square, len(found))
     return Uniformity(
         len(found),
         tuple(int(c) for c in counts),
-        float(stats.chisquare(counts).pvalue),
-        float(stats.kstest(found, "uniform").pvalue),
+        float(scipy.stats.chisquare(counts).pvalue),
+        float(scipy.stats.kstest(found, "uniform").pvalue),
         (square / len(found)) ** 0.5,
-        float(2.0 * min(below, stats.chi2.sf(square, len(found)))),
+        float(2.0 * min(below, scipy.stats.chi2.sf(square, len(found)))),
     )
 
 
@@ -157,12 +157,12 @@ def envelope(count: int, level: float = 0.95) -> float:
     >>> round(envelope(100), 3)
     0.134
     """
-    return float(stats.kstwo.ppf(level, count))
+    return float(scipy.stats.kstwo.ppf(level, count))
 
 
 def _share(hits: int, count: int) -> tuple[float, float]:
     """95 % confidence interval of a share (Clopper & Pearson, Biometrika 26, 1934)."""
-    interval = stats.binomtest(hits, count).proportion_ci(0.95, method="exact")
+    interval = scipy.stats.binomtest(hits, count).proportion_ci(0.95, method="exact")
     return float(interval.low), float(interval.high)
 
 
@@ -263,4 +263,4 @@ def rank_correlation(
 
 
 def _spearman(expected: Tensor, realised: Tensor) -> float:
-    return float(stats.spearmanr(expected.numpy(), realised.mean(1).numpy()).statistic)  # type: ignore[attr-defined]
+    return float(scipy.stats.spearmanr(expected.numpy(), realised.mean(1).numpy()).statistic)  # type: ignore[attr-defined]

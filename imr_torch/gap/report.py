@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import torch
 from scipy.optimize import brentq
-from scipy.stats import chi2, ncx2
+from scipy.special import chdtri, chndtr
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.design import Plan
@@ -222,10 +222,10 @@ def repeats_needed(power: float, rank: int, tests: int, *, wanted: float = 0.8) 
         tests: number of tests, for Bonferroni's level.
         wanted: power to be reached.
     """
-    threshold = chi2.isf(LEVEL / tests, rank)
+    threshold = float(chdtri(rank, LEVEL / tests))
 
     def noncentrality(chance: float) -> float:
-        return float(brentq(lambda size: ncx2.sf(threshold, rank, size) - chance, 1e-9, 1e4))  # type: ignore[arg-type]
+        return float(brentq(lambda size: 1.0 - chndtr(threshold, rank, size) - chance, 1e-9, 1e4))  # type: ignore[arg-type]
 
     return noncentrality(wanted) / noncentrality(power)
 

@@ -12,12 +12,11 @@ from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float
-from scipy.stats import chi2
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Point
 from imr_torch.goodness.linear import Linearisation, linearise_at, shifted
-from imr_torch.goodness.score import block
+from imr_torch.goodness.score import block, log_survival
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import SeedLike, generator
 from imr_torch.simulate import Simulator
@@ -102,7 +101,7 @@ def log_p(
         tests.append((rows.square().sum(1), freedom))
     if not tests:
         return torch.zeros(0, dtype=torch.float64), torch.zeros(0, len(drawn), dtype=torch.float64)
-    logs = torch.stack([torch.as_tensor(chi2.logsf(statistic.numpy(), k)) for statistic, k in tests])
+    logs = torch.stack([log_survival(statistic, k) for statistic, k in tests])
     return logs[:, 0], logs[:, 1:]
 
 

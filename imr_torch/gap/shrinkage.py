@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from scipy.stats import chi2
+from scipy.special import chdtrc
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -170,7 +170,7 @@ def judge(
         shrinkage=intervals,
         comparisons=comparisons,
         shift=_shift(fits[_NONE], fits[effect.name]),
-        adequacy_p=float(chi2.sf(sum(d.square for d in held[effect.name]), frames)),
+        adequacy_p=float(chdtrc(frames, sum(d.square for d in held[effect.name]))),
         converged=all(d.converged for designs in held.values() for d in designs),
         effect=effect.name,
         rival=rival.name if rival else None,

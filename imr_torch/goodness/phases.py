@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.stats import chi2
+from scipy.special import chdtri
 from torch import Tensor
 
 from imr_torch.observe import collapse_time
@@ -96,6 +96,6 @@ def noise_shares(squares: Sequence[Float[Tensor, "*frames"]], phase: Int[Tensor,
         inside = phase == number
         count = int(inside.sum())
         least = min(float(own[inside].sum()) for own in squares)
-        if least < float(chi2.ppf(_QUIET, count)):
+        if least < float(chdtri(count, 1.0 - _QUIET)):
             shares[inside] = least / count
     return shares

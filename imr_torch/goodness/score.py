@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
-from scipy.stats import chi2, ncx2
+from scipy.special import chdtri, chndtr
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -260,7 +260,7 @@ def _power(size: float, rank: int, level: float) -> float:
     """Chance that a block of this size in sd is found at a level: normal approximation of noncentral chi-square."""
     if math.isnan(size):
         return math.nan
-    return float(ncx2.sf(chi2.isf(level, rank), rank, size**2))
+    return 1.0 - float(chndtr(chdtri(rank, level), rank, size**2))
 
 
 def _bias(line: Linearisation) -> tuple[float, float]:

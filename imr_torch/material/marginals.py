@@ -11,9 +11,9 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, Protocol
 
+import scipy  # whose parts are imported when they are used; `stats` takes long
 import torch
 from jaxtyping import Float
-from scipy import stats
 from torch import Tensor
 from torch.special import ndtri
 
@@ -222,8 +222,8 @@ class Quantile:
     arguments: Mapping[str, float]
 
     def __post_init__(self) -> None:
-        kind = getattr(stats, self.family, None)
-        if not isinstance(kind, stats.rv_continuous):
+        kind = getattr(scipy.stats, self.family, None)
+        if not isinstance(kind, scipy.stats.rv_continuous):
             raise InputDataError(f"Quantile: scipy.stats has no continuous distribution named {self.family!r}.")
         try:
             usable = math.isfinite(self._law.median())
@@ -234,7 +234,7 @@ class Quantile:
 
     @cached_property
     def _law(self) -> Any:
-        return getattr(stats, self.family)(**self.arguments)
+        return getattr(scipy.stats, self.family)(**self.arguments)
 
     @property
     def lower(self) -> float:

@@ -12,8 +12,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-import pymatreader
-import scipy.io
+import scipy  # whose parts are imported when they are used
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.layout import Layout
@@ -33,6 +32,8 @@ def read_variables(path: Path) -> Variables:
     Raises:
         InputDataError: if the file cannot be read, or holds no variable.
     """
+    import pymatreader  # takes long
+
     _check_size(path)
     try:
         content = pymatreader.read_mat(str(path))

@@ -11,9 +11,9 @@ import math
 from collections.abc import Callable, Sequence
 from itertools import combinations
 
+import scipy  # whose parts are imported when they are used; `stats` takes long
 import torch
 from jaxtyping import Float
-from scipy.stats import kendalltau
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation
@@ -189,4 +189,4 @@ def _trends(shots: Sequence[ShotLikelihood], fits: Sequence[Assimilation], names
     if len(shots) < _FEWEST_FOR_TREND or float(weber.amax() - weber.amin()) < 1e-6 * float(weber.amax()):
         return ()
     values = torch.stack([shot.mean for shot in shots])
-    return tuple(Trend(name, *map(float, kendalltau(weber, values[:, i]))) for i, name in enumerate(names))
+    return tuple(Trend(name, *map(float, scipy.stats.kendalltau(weber, values[:, i]))) for i, name in enumerate(names))

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from imr_torch.errors import InputDataError
 from imr_torch.gap.plots import plot_causes, plot_scores
@@ -290,7 +290,7 @@ def _autocorrelation(rows: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], 
 
 def _quantiles(values: np.ndarray, ax: Axes) -> None:
     z = np.sort(values[np.isfinite(values)])
-    expected = norm.ppf((np.arange(len(z)) + 0.5) / len(z))
+    expected = ndtri((np.arange(len(z)) + 0.5) / len(z))
     reach = 1.1 * max(3.0, float(np.abs(z).max()), float(np.abs(expected).max()))
     ax.plot((-reach, reach), (-reach, reach), color=DATA, lw=0.8)
     ax.plot(expected, z, ".", ms=4, color=MODEL)

@@ -283,8 +283,16 @@ def test_that_the_rest_radius_agrees_with_the_published_one_where_settled(shared
             assert found.rest_method in ("not in record", "first rebound")
         elif said["Rinf_settled"]:
             assert found.rest_radius_m == pytest.approx(said["Rinf_m"], rel=0.1)
-        else:
-            assert found.rest_radius_m == pytest.approx(said["Rinf_m"], rel=0.25)
+        else:  # the mean radius while it rings is published
+            assert found.rest_radius_m is not None
+            assert found.rest_radius_m < 1.05 * said["Rinf_m"]
+
+
+def test_that_shots_of_one_gel_have_one_stretch_however_long_they_were_recorded(shared: Path) -> None:
+    """Eleven shots of one size; the mean radii of their last cycles, over Rmax, scatter by .21, and by .23 as published."""
+    stretch = [found.rest_radius_m / found.max_radius_m for found, _ in both(shared, "agarose_0p5pct") if found.rest_radius_m]
+    assert len(stretch) == 11
+    assert np.std(stretch) / np.mean(stretch) < 0.15
 
 
 @pytest.mark.parametrize("name", ["agarose_0p5pct", "agarose_5pct"])
