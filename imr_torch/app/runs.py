@@ -24,6 +24,7 @@ from imr_torch.files import read_json, write_atomically, write_json
 _COMMAND = "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], live=True))"
 _TIME = re.compile(r"((?:\d+:)?\d+:\d\d), about ((?:\d+:)?\d+:\d\d) left")
 _PATIENCE = 10.0  # seconds that a stopped command has to end by itself
+_ANSWERED = (0, 2, 130)  # exit statuses of a command that ended by itself or on being stopped
 _STATUS = {0: "done", 1: "not converged, or a file could not be written", 2: "the input cannot be used", 130: "stopped"}
 
 
@@ -62,7 +63,11 @@ class Result:
     @property
     def outcome(self) -> str:
         """How it ended, in words."""
-        return "interrupted" if self.status is None else _STATUS.get(self.status, f"exit status {self.status}")
+        if self.status is None:
+            return "interrupted"
+        if self.status < 0:
+            return f"ended by the system (signal {-self.status}); it may have run out of memory"
+        return _STATUS.get(self.status, f"exit status {self.status}")
 
     def text(self, name: str) -> str:
         """``output.txt`` or ``messages.txt``; empty where nothing was written."""
@@ -93,7 +98,7 @@ class Run:
     """
 
     def __init__(self, result: Result, home: Path) -> None:
-        self.result, self.line, self._messages = result, "starting", ""
+        self.result, self.line, self._messages, self._stopping = result, "starting", "", False
         new_group = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
         self._process = subprocess.Popen(
             [sys.executable, "-c", _COMMAND, *result.arguments],
@@ -128,6 +133,7 @@ class Run:
     def stop(self) -> None:
         """Stop it; what was written stays."""
         if self._process.poll() is None:
+            self._stopping = True
             self._process.send_signal(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGINT))
             threading.Thread(target=self._insist, daemon=True).start()
 
@@ -165,10 +171,12 @@ class Run:
         status = self._process.wait()
         for reader in self._readers:
             reader.join()
-        folder = self.result.folder
+        folder, messages = self.result.folder, self._messages
+        if self._stopping and status not in _ANSWERED:  # before Python could answer, or killed since it did not
+            status, messages = 130, ""
         write_atomically(folder / "output.txt", lambda stream: stream.write(b"".join(self._output)))
-        write_atomically(folder / "messages.txt", lambda stream: stream.write(self._messages.encode()))
-        _write_record(self.result, 130 if status < 0 else status)
+        write_atomically(folder / "messages.txt", lambda stream: stream.write(messages.encode()))
+        _write_record(self.result, status)
 
 
 class Runs:

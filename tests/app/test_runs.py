@@ -2,6 +2,8 @@
 
 import io
 import json
+import os
+import signal
 import time
 import zipfile
 from pathlib import Path
@@ -25,8 +27,17 @@ def simulate(folder: str) -> list[str]:
 
 
 def slow(folder: str) -> list[str]:
-    less = ["--evaluations", "24", "--physics", "polytropic"]
-    return ["campaign", "--case", "stiff-pa", "--designs", "9", *less, "--out", f"{folder}/campaign"]
+    return [
+        "design",
+        "--case",
+        "stiff-pa",
+        "--evaluations",
+        "400",
+        "--physics",
+        "polytropic",
+        "--json",
+        f"{folder}/design.json",
+    ]
 
 
 def finished(run: Run) -> None:
@@ -57,7 +68,7 @@ def test_that_a_refused_command_keeps_its_message(tmp_path: Path) -> None:
 
 def test_that_a_run_shows_progress_and_can_be_stopped_and_only_one_runs(tmp_path: Path) -> None:
     all_runs = runs(tmp_path)
-    run = all_runs.start(slow, "campaign")
+    run = all_runs.start(slow, "design")
     until = time.monotonic() + 120.0
     while run.part is None and run.running and time.monotonic() < until:
         time.sleep(0.1)
@@ -70,6 +81,25 @@ def test_that_a_run_shows_progress_and_can_be_stopped_and_only_one_runs(tmp_path
     finished(run)
     (result,) = all_runs.results()
     assert (result.status, result.outcome) == (130, "stopped")
+
+
+def test_that_a_run_stopped_before_it_began_leaves_no_trace_of_its_code(tmp_path: Path) -> None:
+    all_runs = runs(tmp_path)
+    run = all_runs.start(slow, "design")
+    run.stop()
+    finished(run)
+    (result,) = all_runs.results()
+    assert (result.outcome, "Traceback" in result.text("messages.txt")) == ("stopped", False)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs a system with signals")
+def test_that_a_run_that_the_system_ended_is_not_called_stopped(tmp_path: Path) -> None:
+    all_runs = runs(tmp_path)
+    run = all_runs.start(slow, "design")
+    os.kill(run._process.pid, signal.SIGKILL)
+    finished(run)
+    (result,) = all_runs.results()
+    assert result.outcome == "ended by the system (signal 9); it may have run out of memory"
 
 
 def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_path: Path) -> None:
