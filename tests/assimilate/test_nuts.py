@@ -44,7 +44,7 @@ def test_that_draws_of_a_curved_posterior_agree_with_quadrature_where_the_gaussi
     pytest.importorskip("pyro", reason="needs the extra nuts")
     simulator, batch = CurvedSimulator(1.5), experiments(1)
     fit = fitted(batch, simulator).fits[0]
-    draws, truth = nuts(fit, batch, simulator, seed=0, draws=200), quadrature(fit, batch, simulator)
+    draws, truth = nuts(fit, batch, simulator, seed=0, draws=150), quadrature(fit, batch, simulator)
     assert draws.converged
     sds = truth.covariance.diagonal().sqrt()
     assert float(((draws.mean - truth.mean) / sds).abs().max()) < 0.1
@@ -61,7 +61,7 @@ def test_that_draws_through_the_polytropic_simulator_agree_with_importance_sampl
     belief = Belief((case.prior["nhkv"],), tensor(0.0))
     weighted = weigh(assimilate(belief, batch, simulator, seed=0), simulator, seed=0, samples=1024)
     sample = weighted.fits[0].sample
-    draws = nuts(weighted.fits[0], batch, simulator, seed=0, draws=5, warmup=4, chains=64)
+    draws = nuts(weighted.fits[0], batch, simulator, seed=0, draws=5, warmup=4, chains=40)
     sds = sample.covariance.diagonal().sqrt()
     assert float(((draws.mean - sample.mean) / sds).abs().max()) < 0.25
     torch.testing.assert_close(draws.covariance.diagonal().sqrt(), sds, rtol=0.3, atol=0.0)
