@@ -20,6 +20,10 @@ _SYMBOLS = {
     "tau_sns": r"$\tau_\mathrm{SNS}$",
     "tau_ucm": r"$\tau_\mathrm{UCM}$",
     "yield_stress": r"$\tau_\mathrm{y}$",
+    "density": r"$\ln\,(\rho/\rho_0)$",
+    "medium_tension": r"$\ln\,(S/S_0)$",
+    "medium_pressure": r"$\ln\,(p_\infty/p_0)$",
+    "medium_temperature": r"$\ln\,(T/T_0)$",
 }
 T_STAR = r"$t^* = t\,U_\mathrm{c}/R_\mathrm{max}$"
 R_STAR = r"$R^* = R/R_\mathrm{max}$"

@@ -187,7 +187,7 @@ def draw_parameters(belief: ModelBelief, *, seed: int = 0) -> Figure:
                 low, middle, high = (belief.quantile([0.05, 0.5, 0.95])[:, j] * scales[j]).tolist()
                 ax.axvspan(low, high, color=MODEL, alpha=0.12, lw=0)
                 ax.set(yticks=[], ylim=(0.0, 1.1))
-                ax.set_title(f"{symbol(names[j])} = {middle:.4g} ({low:.4g} to {high:.4g})", fontsize=8)
+                ax.set_title(f"{symbol(names[j])} = {middle:.3g} ({low:.3g} to {high:.3g})", fontsize=8)
             else:
                 _pair(ax, draws[:, j], draws[:, i])
                 tall = float(marginals[0, i]) > 0.0 and float(marginals[-1, i]) > _WIDE * float(marginals[0, i])

@@ -161,9 +161,8 @@ def _pictures(report: GapReport, parts: Parts, simulator: Simulator | None) -> l
     if (selection := parts.selection) is not None:
         caption = "From the base model towards the noise: what is left of the misfit as effects are added one after the other."
         alt = f"Bar chart of the misfit by step. {selection}"
-        made.append(
-            _picture("How much do known effects close together?", caption, alt, lambda: plots.plot_selection(selection))
-        )
+        steps = [plots.DrawnStep(step.effects, step.misfit, step.noise, step.closed) for step in selection.steps]
+        made.append(_picture("How much do known effects close together?", caption, alt, lambda: plots.plot_selection(steps)))
     if (after := fit_of_cause(report)) is not None:
         made.append(
             _picture(

@@ -6,7 +6,8 @@ told apart by colour-blind readers, and what matters is also written.
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import matplotlib.pyplot as plt
 import torch
@@ -19,7 +20,6 @@ from imr_torch.gap.acts import WhereItActs
 from imr_torch.gap.latent import LatentPressure
 from imr_torch.gap.locate import Onset
 from imr_torch.gap.shrinkage import Shrinkage
-from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
 from imr_torch.gap.windows import MovingWindows
 from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
 from imr_torch.goodness.score import LEVEL, BlockResult, GapTest
@@ -89,7 +89,7 @@ def plot_scores(test: GapTest, *, ax: Axes | None = None) -> Axes:
     for place, s in zip(places, strength, strict=True):
         ax.text(s, place, f" {'> ' if s == _SMALLEST else ''}{s:.3g}", va="center", fontsize=7)
     ax.set_yticks(places, [_labelled(b) for b in shown], fontsize=8)
-    ax.set(xlabel="$-\\log_{10} p$  (dashed: 4 % after Bonferroni)", xlim=(0.0, 3.0 * max(*strength, limit)))
+    ax.set(xlabel="$-\\log_{10} p$  (dashed: 4 % over all)", xlim=(0.0, 10.0 * max(*strength, limit)))
     ax.set_xscale("symlog", linthresh=_LINEAR)
     return ax
 
@@ -160,7 +160,7 @@ def plot_causes(posterior: dict[str, float], *, ax: Axes | None = None) -> Axes:
     for place, (_, probability) in zip(places, shown, strict=True):
         ax.text(probability, place, f" {probability:.3f}", va="center", fontsize=8)
     ax.set_yticks(places, [name for name, _ in shown], fontsize=8)
-    ax.set(xlabel="probability", xlim=(0.0, 1.15))
+    ax.set(xlabel="probability", xlim=(0.0, 1.3), xticks=[0.0, 0.25, 0.5, 0.75, 1.0])
     return ax
 
 
@@ -233,25 +233,35 @@ def plot_shrinkage(found: Shrinkage, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_selection(found: StepwiseSelection, *, ax: Axes | None = None) -> Axes:
+class DrawnStep(NamedTuple):
+    """What is drawn of a step of a stepwise selection, in R*; ``closed``: lower, median and upper share of the held-out gap."""
+
+    effects: Sequence[str]
+    misfit: float
+    noise: float
+    closed: Sequence[float] | None
+
+
+def plot_selection(steps: Sequence[DrawnStep], *, ax: Axes | None = None) -> Axes:
     """Misfit in R* from the base model to the last effect added, beside the noise, with what each step closes held out."""
-    steps = found.steps
     ax = _axes(ax, (5.8, 1.3 + 0.5 * len(steps)))
     places = list(range(len(steps) - 1, -1, -1))
     ax.barh(places, [step.misfit for step in steps], color=[BASE, *[AFTER] * (len(steps) - 1)], height=0.55)
     ax.axvline(steps[-1].noise, color=DATA, ls="--", lw=1, label="noise of the mean curves")
     top = max(*(step.misfit for step in steps), steps[-1].noise)
     for place, step in zip(places, steps, strict=True):
-        closed = "" if step.closed is None else f", closes {step.closed[1]:.2f} ({step.closed[0]:.2f} to {step.closed[2]:.2f})"
-        ax.text(step.misfit + 0.01 * top, place, f" {step.misfit:.4f}{closed}", va="center", fontsize=7)
+        low, middle, high = step.closed or (0.0, 0.0, 0.0)
+        closed = "" if step.closed is None else f"\ncloses {middle:.2f} ({low:.2f} to {high:.2f})"
+        behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
+        ax.text(step.misfit + 0.03 * top, place, f"{step.misfit:.4f}{closed}", va="center", fontsize=7, bbox=behind)
     names = ["base model", *("+ " + plain(_added(a, b), 40) for a, b in itertools.pairwise(steps))]
     ax.set_yticks(places, names, fontsize=8)
-    ax.set(xlabel="misfit in $R^*$ (root mean square, beyond noise)", xlim=(0.0, 2.3 * top), ylim=(-0.6, len(steps) - 0.4))
+    ax.set(xlabel="misfit in $R^*$ (root mean square, beyond noise)", xlim=(0.0, 2.1 * top), ylim=(-0.6, len(steps) - 0.4))
     ax.legend(frameon=False, fontsize=7, loc="lower right")
     return ax
 
 
-def _added(before: SelectionStep, after: SelectionStep) -> str:
+def _added(before: DrawnStep, after: DrawnStep) -> str:
     """What one step has that the one before has not, and what it dropped."""
     added = [name for name in after.effects if name not in before.effects]
     dropped = [name for name in before.effects if name not in after.effects]

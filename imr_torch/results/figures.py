@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from scipy.special import ndtri
 
 from imr_torch.errors import InputDataError
-from imr_torch.gap.plots import plot_causes, plot_scores
+from imr_torch.gap.plots import DrawnStep, plot_causes, plot_scores, plot_selection
 from imr_torch.goodness.score import BlockResult, GapTest
 from imr_torch.labels import R_STAR, T_STAR, file_name, plain
 from imr_torch.material import Belief, material
@@ -154,6 +154,14 @@ def _of_diagnosis(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             "Probability of each cause.",
             "Bar chart of probabilities.",
             lambda: figure_of(plot_causes(document["posterior"])),
+        )
+    if document.get("ladder"):
+        steps = [DrawnStep(*(row[name] for name in DrawnStep._fields)) for row in document["ladder"]]
+        yield NamedFigure(
+            "effects_together",
+            "Misfit from the base model to the last effect added, and the share of the held-out gap that each step closes.",
+            f"Bar chart of {len(steps)} misfits.",
+            lambda: figure_of(plot_selection(steps)),
         )
 
 

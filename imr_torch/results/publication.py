@@ -20,6 +20,9 @@ WIDTHS = {"one": 86.0, "two": 178.0}
 TEXT, SMALL = 8.0, 7.0
 """Points: of axes and titles, and of ticks and legends."""
 
+LEAST = 6.0
+"""Points: of text that would not fit."""
+
 STYLE: dict[Any, Any] = {
     "font.size": TEXT,
     "axes.titlesize": TEXT,
@@ -78,16 +81,18 @@ def for_publication(draw: Callable[[], Figure], columns: str) -> Figure:
 
 
 def _break_long_labels(figure: Figure) -> None:
-    """Put titles and labels that are wider than their axes into two lines."""
+    """Put titles and labels that are wider than their axes into two lines, and make them smaller where that is not enough."""
     figure.draw_without_rendering()
     for ax in figure.axes:
         for text in (ax.title, ax.xaxis.label):
             if text.get_window_extent().width > _WIDER * ax.get_window_extent().width:
                 text.set_text(in_two_lines(text.get_text()))
+                share = _WIDER * ax.get_window_extent().width / text.get_window_extent().width
+                _fit(text, max(LEAST, share * TEXT))
 
 
 def in_two_lines(text: str) -> str:
-    r"""The text, broken at the blank next to its middle that is not within a formula.
+    r"""The text, broken before a parenthesis or else at the blank next to its middle, never within a formula.
 
     >>> from imr_torch.results.publication import in_two_lines
     >>> in_two_lines("$G = 8$ (7 to 9)")
@@ -95,9 +100,10 @@ def in_two_lines(text: str) -> str:
     """
     blanks = [i for i, letter in enumerate(text) if letter == " " and text[:i].count("$") % 2 == 0]
     outside = [i for i in blanks if text[:i].count("(") == text[:i].count(")")] or blanks
-    if not outside:
+    places = [i for i in outside if text[i + 1 : i + 2] == "("] or outside
+    if not places:
         return text
-    at = min(outside, key=lambda i: abs(i - len(text) / 2))
+    at = min(places, key=lambda i: abs(i - len(text) / 2))
     return f"{text[:at]}\n{text[at + 1 :]}"
 
 

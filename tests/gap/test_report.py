@@ -2,6 +2,7 @@
 
 import base64
 import io
+import json
 import math
 import re
 import shutil
@@ -21,6 +22,7 @@ from imr_torch.gap import GapReport, Parts, describe, diagnose, examine, library
 from imr_torch.gap.report import repeats_needed, sections
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
+from imr_torch.results import draw_figures, for_publication
 from imr_torch.simulate import PolytropicSimulator
 from tests.figures import rendering
 
@@ -276,6 +278,17 @@ def test_that_every_plot_draws_into_the_axes_it_is_given(found):
         assert draw(ax) is ax
         assert ax.has_data()
         plt.close(ax.figure)
+
+
+def test_that_the_figures_of_a_document_hold_its_steps_with_what_each_closes(found):
+    document = json.loads(json.dumps(to_json(*found)))
+    figures = {figure.name: figure for figure in draw_figures(document)}
+    assert {"tests", "causes", "effects_together"} <= set(figures)
+    (ax,) = for_publication(figures["effects_together"].draw, "one").axes
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["base model", "+ sound_speed"]
+    closed = document["ladder"][1]["closed"][1]
+    assert f"closes {closed:.2f}" in ax.texts[1].get_text()
+    plt.close("all")
 
 
 class _Reader(HTMLParser):
