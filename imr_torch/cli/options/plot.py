@@ -6,7 +6,7 @@
 
 Nothing is computed again. Results of characterize, diagnose, design, campaign and simulate hold what their figures need.
 Figures go beside the JSON file, or into --out. With --columns they are drawn at the width at which a journal prints them
-(one column: 86 mm, two: 178 mm), with text of 7 and 8 points.
+(one column: 86 mm, two: 178 mm), with text of 6 to 8 points.
 """
 
 import argparse
