@@ -289,7 +289,7 @@ def test_that_the_rest_radius_agrees_with_the_published_one_where_settled(shared
 
 
 def test_that_shots_of_one_gel_have_one_stretch_however_long_they_were_recorded(shared: Path) -> None:
-    """Eleven shots of one size; the mean radii of their last cycles, over Rmax, scatter by .21, and by .23 as published."""
+    """Eleven shots of one size; the mean radii of their last cycles, over Rmax, scatter by .21, as the published ones do."""
     stretch = [found.rest_radius_m / found.max_radius_m for found, _ in both(shared, "agarose_0p5pct") if found.rest_radius_m]
     assert len(stretch) == 11
     assert np.std(stretch) / np.mean(stretch) < 0.15
