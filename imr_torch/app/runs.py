@@ -24,7 +24,7 @@ from imr_torch.files import read_json, write_atomically, write_json
 _COMMAND = "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], live=True))"
 _TIME = re.compile(r"((?:\d+:)?\d+:\d\d), about ((?:\d+:)?\d+:\d\d) left")
 _PATIENCE = 10.0  # seconds that a stopped command has to end by itself
-_ANSWERED = (0, 2, 130)  # exit statuses of a command that ended by itself or on being stopped
+_ANSWERED = (0, 2, 130)  # exit statuses with which a command ends by itself, or answers that it is stopped
 _STATUS = {0: "done", 1: "not converged, or a file could not be written", 2: "the input cannot be used", 130: "stopped"}
 
 

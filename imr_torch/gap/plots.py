@@ -250,8 +250,7 @@ def plot_selection(steps: Sequence[DrawnStep], *, ax: Axes | None = None) -> Axe
     ax.axvline(steps[-1].noise, color=DATA, ls="--", lw=1, label="noise of the mean curves")
     top = max(*(step.misfit for step in steps), steps[-1].noise)
     for place, step in zip(places, steps, strict=True):
-        low, middle, high = step.closed or (0.0, 0.0, 0.0)
-        closed = "" if step.closed is None else f"\ncloses {middle:.2f} ({low:.2f} to {high:.2f})"
+        closed = "" if step.closed is None else "\ncloses {1:.2f} ({0:.2f} to {2:.2f})".format(*step.closed)
         behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
         ax.text(step.misfit + 0.03 * top, place, f"{step.misfit:.4f}{closed}", va="center", fontsize=7, bbox=behind)
     names = ["base model", *("+ " + plain(_added(a, b), 40) for a, b in itertools.pairwise(steps))]

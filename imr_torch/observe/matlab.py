@@ -32,7 +32,7 @@ def read_variables(path: Path) -> Variables:
     Raises:
         InputDataError: if the file cannot be read, or holds no variable.
     """
-    import pymatreader  # takes long
+    import pymatreader  # takes long to import
 
     _check_size(path)
     try:
