@@ -28,7 +28,7 @@ from imr_torch.material import ModelBelief
 
 _CLOSE = 0.5  # posterior standard deviations: the evidence linearised there is as good as at the optimum
 _BEHIND = 30.0  # nats by which a rival may be behind after the first step and still be refined
-_FEWEST = 8  # data of each model whose rivals are refined, if the number is left to the estimator
+_FEWEST = 6  # data of each model whose rivals are refined, if the number is left to the estimator
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Laplace(InformationEstimator):
     Args:
         draws: gels per constitutive model that data are made of.
         rivals: data of each model that the model part is estimated from, their evidence under the other models by
-            refinement; a quarter of ``draws``, and at least 8, if None. The cost of a belief with several models grows with it.
+            refinement; a quarter of ``draws``, and at least 6, if None. The cost of a belief with several models grows with it.
         refinements: Gauss-Newton steps to the gel of a rival model; 0 linearises at the draw they would start from.
 
     >>> from imr_torch.design import Plan, expected_information_gain
@@ -52,7 +52,7 @@ class Laplace(InformationEstimator):
 
     draws: int = 64
     rivals: int | None = None
-    refinements: int = 3
+    refinements: int = 2
 
     def __post_init__(self) -> None:
         check_at_least(self, 2, "draws")
