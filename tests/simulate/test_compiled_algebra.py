@@ -10,7 +10,7 @@ def compiled(function):
     return build._bound(function, None, {})
 
 
-@pytest.mark.parametrize("size", [1, 4, 5, 7, 16])
+@pytest.mark.parametrize("size", [1, 4, 7, 16])
 def test_that_inverses_and_the_solutions_beside_them_are_those_of_numpy(size: int) -> None:
     matrix = np.random.default_rng(size).normal(size=(size, size)) + 8.0 * np.eye(size)
     right = np.random.default_rng(0).normal(size=(size, 2))
