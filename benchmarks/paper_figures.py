@@ -1,6 +1,7 @@
 """The figures of the reproduction: each computes its pieces once, keeps them as JSON, and draws them.
 
-All but ``sequence`` and ``trajectory``, which read the campaigns' journals, are of the stiff-PA case.
+All but ``sequence`` and ``trajectory``, which read the campaigns' journals, are of the stiff-PA case. "Published" names the
+estimators and the inference of the study; "default" those of this package.
 """
 
 import json
@@ -17,9 +18,10 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import torch
+from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullFormatter
 from paper_campaigns import PLAN, POLICIES, SEARCH, SIMULATOR, WITHIN, Row, informations, read, study, true_controls
 
 from imr_torch.assimilate import PublishedFit, assimilate_published
@@ -27,8 +29,10 @@ from imr_torch.campaign import PAPER_OPTIMAL, ExactLearner, Learner, Observation
 from imr_torch.cli.figures import save
 from imr_torch.design import DesignSpace, Laplace, PublishedEstimator, gains_of_each
 from imr_torch.files import write_json
+from imr_torch.labels import REST_RADIUS, WEBER, symbol, with_unit
 from imr_torch.material import CASES, PARAMETERS, Belief, TruncatedNormal, reference_case
 from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory, collapse_time
+from imr_torch.plot import CYCLE, MODEL, SECOND, TRUTH
 from imr_torch.random import child
 from imr_torch.results import for_publication
 from imr_torch.results.publication import STYLE
@@ -41,8 +45,12 @@ NOISES = (0.5, 1.0, 2.0, 4.0)
 LIMIT_WEBERS = (100.0, 150.0, 200.0, 300.0, 400.0, 500.0, 650.0, 800.0, 1000.0)
 LIMIT_RESTS = (0.14, 0.16, 0.18, 0.20, 0.22, 0.24, 0.26, 0.28, 0.30)
 LEARNERS: dict[str, Learner] = {"paper": PaperLearner(), "exact": ExactLearner()}
-plt.rcParams.update(STYLE)
-COLORS = {"optimal": "#0072B2", "random": "#E69F00"}
+NAMES = {"paper": "published", "exact": "default"}  # of the ways to learn, in figures
+TITLES = {"stiff-pa": "stiff PA", "soft-pa": "soft PA"}
+MODELS = {"nhkv": "NHKV", "gen_qkv": "gen. qKV"}
+LEAST = 1e-12  # probability below which points are drawn at the lower edge
+COLORS = {"optimal": MODEL, "random": SECOND}
+plt.rcParams.update(STYLE | {"axes.prop_cycle": cycler(color=CYCLE), "legend.frameon": False})
 
 
 def remembered(folder: Path, name: str, compute: Callable[[], Any]) -> Any:
@@ -56,11 +64,17 @@ def remembered(folder: Path, name: str, compute: Callable[[], Any]) -> Any:
     return json.loads(path.read_text())
 
 
-def finish(folder: Path, name: str, document: Any, figure: Figure) -> None:
-    """Write ``NAME.json``, ``NAME.png`` and ``NAME.pdf``, two columns wide."""
+def finish(folder: Path, name: str, document: Any, figure: Figure, columns: str = "two") -> None:
+    """Write ``NAME.json``, ``NAME.png`` and ``NAME.pdf``, one or two columns wide."""
     write_json(folder / f"{name}.json", document)
-    save(for_publication(lambda: figure, "two"), folder, name)
+    save(for_publication(lambda: figure, columns), folder, name)
     print(f"wrote {folder / name}.json, .png and .pdf")
+
+
+def legend_above(figure: Figure, ax: Axes) -> None:
+    """The legend of one panel above all of them, where it hides no data."""
+    handles, labels = ax.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
 
 
 def weber(radius: float) -> float:
@@ -97,23 +111,23 @@ def bo(folder: Path) -> None:
             "gain": best.mean,
         }
 
-    searches = {f"paper, N {n}": replace(PAPER_OPTIMAL, estimator=PublishedEstimator(n // 2)) for n in DRAWS}
-    searches["default, N 32"] = SEARCH
-    rows = {
-        name: remembered(folder, f"bo_{name.replace(', N ', '_')}", lambda p=policy: search(p))
-        for name, policy in searches.items()
+    searches = {f"paper_{n}": replace(PAPER_OPTIMAL, estimator=PublishedEstimator(n // 2)) for n in DRAWS} | {
+        "default_32": SEARCH
     }
+    rows = {name: remembered(folder, f"bo_{name}", lambda p=policy: search(p)) for name, policy in searches.items()}
     figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
     for name, row in rows.items():
         ahead = torch.tensor(row["gains"]).cummax(0).values
-        axes[0].plot(range(1, len(ahead) + 1), ahead - ahead[-1], label=name)
+        way, draws = name.split("_")
+        label = f"{NAMES.get(way, way)}, {draws} draws"
+        axes[0].plot(range(1, len(ahead) + 1), ahead - ahead[-1], label=label, lw=1.2)
         axes[1].plot(*zip(*row["designs"], strict=True), ".", ms=4)
         axes[1].plot(*row["recommended"], "*", ms=12, color=axes[1].lines[-1].get_color())
         axes[2].plot(range(1, len(ahead) + 1), row["gains"], ".-", ms=3, lw=0.7)
-    axes[0].set(xlabel="evaluation", ylabel="best gain so far less the last (nats)")
-    axes[0].legend(fontsize=7)
-    axes[1].set(xlabel="We", ylabel="R_inf*", title="evaluated designs; stars: recommended")
+    axes[0].set(xlabel="evaluation", ylabel="best gain less the last (nats)")
+    axes[1].set(xlabel=WEBER, ylabel=REST_RADIUS, title="evaluated; stars: recommended")
     axes[2].set(xlabel="evaluation", ylabel="gain (nats)")
+    legend_above(figure, axes[0])
     finish(folder, "bo", rows, figure)
 
 
@@ -146,10 +160,10 @@ def search(folder: Path) -> None:
     for i, (name, row) in enumerate(rows.items()):
         (a, b), (c, d) = row["ends"]
         ax.annotate("", (a, b), (c, d), arrowprops={"arrowstyle": "->", "color": f"C{i}"})
-        ax.plot([a, c], [b, d], "o", color=f"C{i}", label=f"{name}: {row['gains'][0] - row['gains'][1]:+.3f} nats")
-    ax.set(xlabel="We", ylabel="R_inf*", title="from the dear search's end to the cheap one's")
-    ax.legend(fontsize=7)
-    finish(folder, "search", rows, figure)
+        ax.plot([a, c], [b, d], "o", color=f"C{i}", label=f"{name}: {row['gains'][0] - row['gains'][1]:+.3f}")
+    ax.set(xlabel=WEBER, ylabel=REST_RADIUS, title="from a dear search to the default; gain (nats)")
+    ax.legend()
+    finish(folder, "search", rows, figure, "one")
 
 
 def ensembles(folder: Path) -> None:
@@ -178,8 +192,8 @@ def ensembles(folder: Path) -> None:
             ax.axvline(restart - 0.5, color="0.7", lw=0.8)
         name = found[model]["names"][i]
         if model == CASE.truth_model:
-            ax.axhline(CASE.truth[name], color="#D55E00", ls="--")
-        ax.set(title=f"{model}: {name}", xlabel="iteration")
+            ax.axhline(CASE.truth[name], color=TRUTH, ls="--")
+        ax.set(title=MODELS[model], ylabel=with_unit(symbol(name), PARAMETERS[name].unit), xlabel="iteration")
     finish(folder, "ensembles", found, figure)
 
 
@@ -196,15 +210,20 @@ def models(folder: Path, seeds: Sequence[int] = range(3)) -> None:
 
         rows[f"{name} | {mode} | {seed}"] = remembered(folder, f"models_{name.split()[0]}_{mode}_{seed}", compute)
     figure, ax = plt.subplots(figsize=(5.5, 3.4), layout="constrained")
-    groups = {
-        (name, mode): [v["probability_nhkv"] for k, v in rows.items() if k.startswith(f"{name} | {mode}")]
-        for name in RADII
-        for mode in ("paper", "exact")
-    }
-    for place, values in enumerate(groups.values()):
-        ax.plot([place] * len(values), [max(v, 1e-12) for v in values], "o")
-    ax.set(xticks=range(4), xticklabels=[f"{n}\n{m}" for n, m in groups], ylabel="P(NHKV)", yscale="log")
-    finish(folder, "models", rows, figure)
+    for mode, color, aside in (("paper", SECOND, -0.1), ("exact", MODEL, 0.1)):
+        points = [
+            (place + aside, max(row["probability_nhkv"], LEAST))
+            for place, name in enumerate(RADII)
+            for key, row in rows.items()
+            if key.startswith(f"{name} | {mode}")
+        ]
+        ax.plot(*zip(*points, strict=True), "o", ms=4, color=color, label=NAMES[mode])
+    ax.set(xlim=(-0.5, 1.5), xticks=range(len(RADII)), ylabel=f"P(NHKV), {LEAST:g} or more", yscale="log")
+    ax.set_xticklabels(
+        [f"$R_\\mathrm{{max}}$ = {1e6 * radius:.0f} µm\n$R_\\infty^*$ = {rest:g}" for radius, rest in RADII.values()]
+    )
+    ax.legend()
+    finish(folder, "models", rows, figure, "one")
 
 
 def errors(folder: Path) -> None:
@@ -225,15 +244,15 @@ def errors(folder: Path) -> None:
             name = f"errors_{mode}_{spread:g}_{scale:g}"
             rows[name] = remembered(folder, name, lambda s=spread, n=scale, how=learner: compute(s, n, how))
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
-    for ax, values, label in ((axes[0], SPREADS, "relative sd of G_inf in the prior"), (axes[1], NOISES, "noise scale")):
-        for mode, style in (("exact", "-"), ("paper", "--")):
+    for ax, values, label in ((axes[0], SPREADS, "relative prior sd of $G$"), (axes[1], NOISES, "noise, times the published")):
+        for mode, style, face in (("exact", "-", None), ("paper", "--", "white")):
             keys = [f"errors_{mode}_{v:g}_1" if ax is axes[0] else f"errors_{mode}_0.1_{v:g}" for v in values]
             for i, name in enumerate(part.names):
-                ax.plot(
-                    values, [rows[k]["sds"][i] for k in keys], style, color=f"C{i}", marker="o", ms=3, label=f"{name} {mode}"
-                )
+                sds = [rows[k]["sds"][i] for k in keys]
+                curve = f"{symbol(name)}, {NAMES[mode]}"
+                ax.plot(values, sds, style, color=f"C{i}", marker="o", mfc=face, ms=4, lw=1.2, label=curve)
         ax.set(xlabel=label, ylabel="posterior sd / truth", yscale="log")
-    axes[0].legend(fontsize=7)
+    legend_above(figure, axes[0])
     finish(folder, "errors", rows, figure)
 
 
@@ -265,7 +284,7 @@ def limit(folder: Path) -> None:
         )
         image = ax.pcolormesh(LIMIT_RESTS, LIMIT_WEBERS, 100.0 * best, shading="nearest")
         figure.colorbar(image, ax=ax)
-        ax.set(title=f"{count} designs: least worst sd, %", xlabel="R_inf*", ylabel="We")
+        ax.set(title=f"{count} design{'s' if count > 1 else ''}: largest sd (%)", xlabel=REST_RADIUS, ylabel=WEBER)
     finish(folder, "limit", document, figure)
 
 
@@ -291,10 +310,10 @@ def sequence(folder: Path, mode: str = "exact") -> None:
     wanted: dict[str, Callable[[Row], float | None]] = {
         "expected gain (nats)": lambda row: row.gain,
         "P(right model)": lambda row: row.probability,
-        "worst relative error": lambda row: max(row.errors),
-        "worst relative sd": lambda row: max(row.sds),
+        "largest rel. error": lambda row: max(row.errors),
+        "largest rel. sd": lambda row: max(row.sds),
     }
-    figure, axes = plt.subplots(len(CASES), len(wanted), figsize=(15, 6.5), layout="constrained")
+    figure, axes = plt.subplots(len(CASES), len(wanted), figsize=(15, 8), layout="constrained")
     document: dict[str, Any] = {}
     for row, case in zip(axes, CASES.values(), strict=True):
         for policy in POLICIES:
@@ -303,12 +322,15 @@ def sequence(folder: Path, mode: str = "exact") -> None:
                 if seeds:
                     drawn = _line(ax, seeds, value, COLORS[policy], f"{policy}, {len(seeds)} seeds")
                     document[f"{case.key} | {policy} | {name}"] = drawn
-                ax.set(xlabel="designs", title=f"{case.key}: {name}")
+                ax.set(xlabel="designs", ylabel=name)
                 ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        row[0].set_title(TITLES[case.key], loc="left")
+        row[1].set_ylim(-0.05, 1.05)
         for ax in row[2:]:
             ax.set_yscale("log")
+            ax.yaxis.set_minor_formatter(NullFormatter())
             ax.axhline(WITHIN, color="0.5", ls=":")
-        row[1].legend(fontsize=8)
+    legend_above(figure, axes[0, 1])
     finish(folder, "sequence" if mode == "exact" else f"sequence_{mode}", document, figure)
 
 
@@ -330,10 +352,11 @@ def trajectory(folder: Path, mode: str = "exact") -> None:
             document[f"{case.key} | {policy} | designs"] = {s: [r.design for r in rows] for s, rows in seeds.items()}
             drawn = _line(row[1], seeds, lambda r: r.entropy, COLORS[policy], policy)
             document[f"{case.key} | {policy} | entropy"] = drawn
-        row[0].set(xlabel="We", ylabel="R_inf*", title=f"{case.key}: optimal designs", xlim=(80, 1020), ylim=(0.135, 0.305))
-        row[1].set(xlabel="designs", ylabel="entropy of the belief (nats, SI)", title=case.key)
+        row[0].set(xlabel=WEBER, ylabel=REST_RADIUS, xlim=(80, 1020), ylim=(0.135, 0.305))
+        row[0].set_title(f"{TITLES[case.key]}: optimal designs", loc="left")
+        row[1].set(xlabel="designs", ylabel="entropy of the belief (nats, SI)")
         row[1].xaxis.set_major_locator(MaxNLocator(integer=True))
         for ax in row:
             if ax.get_legend_handles_labels()[0]:
-                ax.legend(fontsize=7)
+                ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     finish(folder, "trajectory" if mode == "exact" else f"trajectory_{mode}", document, figure)
