@@ -1,12 +1,13 @@
 """Is the population's inference right on average? Coverage of medians and scatters, false alarms and power.
 
-  python benchmarks/population.py run --populations 300 --out population.jsonl
+  python benchmarks/population.py run --populations 300 --out population.jsonl [--noise estimated]
   python benchmarks/population.py table --out population.jsonl
   python benchmarks/population.py time --shots 20
   python benchmarks/population.py campaigns --populations 20 --shots 4 --out campaigns.jsonl
 
 `run` simulates, with the polytropic simulator, populations of 4 to 10 shots of one curve each, at Weber numbers of 250 to 600,
-R_inf* of .18 to .28 and with uncertain Rmax, time zero and R_inf, and infers them with the noise as given. A third have their
+R_inf* of .18 to .28 and with uncertain Rmax, time zero and R_inf, and infers them with
+the noise that made them, or with one that is estimated from the residuals, as of measured curves. A third have their
 scatters drawn from the prior of the inference (coverage is then right if the inference is exact), a third have none (false
 alarms), and the others a scatter of .1, .2 or .4 in ln G and none in mu (power). Results are appended as JSON lines, so a run
 that was cut off continues. `time` takes that many shots of a simulated population with heat and vapour transport, noise
@@ -108,6 +109,7 @@ def run(args: argparse.Namespace) -> None:
     path = Path(args.out)
     done = {row["number"] for row in _rows(path)} if path.exists() else set()
     simulator = PolytropicSimulator(threads=1)
+    noise: dict[str, Any] = {"noise": NOISE, "rounds": 0} if args.noise == "known" else {}
     with path.open("a", encoding="utf-8") as stream:
         for number in range(args.first, args.populations):
             if number in done:
@@ -117,7 +119,7 @@ def run(args: argparse.Namespace) -> None:
             started = time.process_time()
             row: dict[str, Any] = {"number": number, "kind": kind, "count": len(shots)}
             try:
-                fits = fit_shots(PRIOR, shots, simulator, noise=NOISE, rounds=0, seed=number, options=OPTIONS)
+                fits = fit_shots(PRIOR, shots, simulator, **noise, seed=number, options=OPTIONS)
                 row |= judged(infer_population(fits, seed=number), truth)
             except ImrError as error:
                 row["error"] = str(error)
@@ -244,6 +246,7 @@ def main() -> None:
         command.add_argument("--populations", type=int, default=300)
         command.add_argument("--first", type=int, default=0)
         command.add_argument("--shots", type=int, default=20)
+        command.add_argument("--noise", choices=("known", "estimated"), default="known", help="of run")
         command.add_argument("--scatter", type=float, nargs=2, default=(0.2, 0.1), help="of ln G and ln mu, of campaigns")
     args = parser.parse_args()
     args.function(args)

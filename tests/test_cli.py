@@ -41,6 +41,23 @@ def test_help_teaches_with_an_example(command, capsys):
     assert f"imr-torch {command} " in capsys.readouterr().out.split("options:")[0].split("\n\n", 1)[1]
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "plot a.json --seed 1",
+        "plot a.json --json b.json",
+        "app --threads 2",
+        "compare a.json b.json --seed 1",
+        "simulate --seed 1",
+    ],
+)
+def test_that_an_option_that_would_do_nothing_is_refused(line, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(line.split())
+    assert stop.value.code == 2
+    assert f"unrecognized arguments: --{line.split(' --')[1]}" in capsys.readouterr().err
+
+
 def test_simulate_writes_the_curve_and_a_figure(rendered, tmp_path, capsys):
     out = tmp_path / "bubble"
     gel = ["--set", "G=8310,mu=0.093"]

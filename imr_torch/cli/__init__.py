@@ -45,9 +45,13 @@ def parser() -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.add_arguments(sub)
-        sub.add_argument("--seed", type=_seed, default=0, help="seed of everything random, from 0 on (default 0)")
-        sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
-        add_engine_arguments(sub)
+        left_out = getattr(module, "WITHOUT", ())
+        if "seed" not in left_out:
+            sub.add_argument("--seed", type=_seed, default=0, help="seed of everything random, from 0 on (default 0)")
+        if "json" not in left_out:
+            sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
+        if "engine" not in left_out:
+            add_engine_arguments(sub)
         sub.add_argument("--quiet", action="store_true", help="no progress on the terminal")
         sub.add_argument("--verbose", action="store_true", help="every step of the fits, instead of one line of progress")
     return top

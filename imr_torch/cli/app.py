@@ -13,8 +13,6 @@ def run(args: argparse.Namespace) -> None:
     Raises:
         InputDataError: if the extra is not installed, or folder or port cannot be used.
     """
-    if args.json:
-        raise InputDataError("--json has no effect on app, whose runs write their own; leave it out.")
     if not 0 <= args.port < 65536:
         raise InputDataError(f"--port is {args.port}; expected 1 to 65535, or 0 for a free one.")
     try:

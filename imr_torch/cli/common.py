@@ -187,7 +187,7 @@ def header_of(args: argparse.Namespace) -> dict[str, Any]:
     medium = getattr(args, "gel_medium", None) or (SIMULATORS[physics].conditions.surroundings if physics else None)
     return header(args.command, files=files, medium=medium, command=command_line(args)) | {
         "physics": physics,
-        "seed": args.seed,
+        "seed": getattr(args, "seed", None),
     }
 
 

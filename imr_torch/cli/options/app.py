@@ -12,6 +12,7 @@ import argparse
 
 NAME = "app"
 SUMMARY = "the same in the browser, on this machine"
+WITHOUT = ("seed", "engine", "json")
 FOLDER = "imr_torch_app"
 
 

@@ -13,6 +13,7 @@ import argparse
 
 NAME = "compare"
 SUMMARY = "whether two gels differ, and by how much"
+WITHOUT = ("seed", "engine")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

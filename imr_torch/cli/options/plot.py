@@ -15,6 +15,7 @@ from imr_torch.cli.options.names import COLUMNS, FORMATS
 
 NAME = "plot"
 SUMMARY = "the figures of a result, from its JSON"
+WITHOUT = ("seed", "engine", "json")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

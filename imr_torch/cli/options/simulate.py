@@ -16,6 +16,7 @@ from imr_torch.cli.options.shared import (
 
 NAME = "simulate"
 SUMMARY = "R(t) of one bubble in a gel"
+WITHOUT = ("seed",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
