@@ -6,14 +6,13 @@
   python benchmarks/population.py campaigns --populations 20 --shots 4 --out campaigns.jsonl
 
 `run` simulates, with the polytropic simulator, populations of 4 to 10 shots of one curve each, at Weber numbers of 250 to 600,
-R_inf* of .18 to .28 and with uncertain Rmax, time zero and R_inf, and infers them with
-the noise that made them, or with one that is estimated from the residuals, as of measured curves. A third have their
-scatters drawn from the prior of the inference (coverage is then right if the inference is exact), a third have none (false
-alarms), and the others a scatter of .1, .2 or .4 in ln G and none in mu (power). Results are appended as JSON lines, so a run
-that was cut off continues. `time` takes that many shots of a simulated population with heat and vapour transport, noise
-estimated, on one thread. `campaigns` runs simulated campaigns of that many shots about populations of given scatters (.2 in
-ln G and .1 in ln mu, or --scatter), each once with chosen and once with random designs, and compares what is known of median
-and scatter.
+R_inf* of .18 to .28 and with uncertain Rmax, time zero and R_inf, and infers them with the noise that made them, or with one
+that is estimated from the residuals, as of measured curves. A third have their scatters drawn from the prior of the inference
+(coverage is then right if the inference is exact), a third have none (false alarms), and the others a scatter of .1, .2 or .4
+in ln G and none in mu (power). Results are appended as JSON lines, so a run that was cut off continues. `time` takes that many
+shots of a simulated population with heat and vapour transport, noise estimated, on one thread. `campaigns` runs simulated
+campaigns of that many shots about populations of given scatters (.2 in ln G and .1 in ln mu, or --scatter), each once with
+chosen and once with random designs, and compares what is known of median and scatter.
 """
 
 import argparse
