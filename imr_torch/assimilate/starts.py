@@ -15,9 +15,11 @@ from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import ConvergenceError, ShapeError
 
+BESIDE = 10.0
+"""Posterior standard deviations between an earlier optimum and the starts about it."""
+
 _APART = 0.5  # prior standard deviations between the prior draws that are chosen
 _RESTART = 0.25  # prior standard deviations
-_BESIDE = 10.0  # posterior standard deviations between an earlier optimum and the starts about it
 
 
 def best_prior_draws(posterior: Posterior, options: SearchOptions, source: torch.Generator) -> Point:
@@ -48,7 +50,7 @@ def given(
 
 def beside(posterior: Posterior, fit: ModelFit, options: SearchOptions, source: torch.Generator) -> Point:
     """A model's optimum in an earlier assimilation, and perturbed copies of it."""
-    noise = torch.stack([around(fit.chol, source, _BESIDE) for _ in range(options.starts)])
+    noise = torch.stack([around(fit.chol, source, BESIDE) for _ in range(options.starts)])
     noise[0] = 0.0
     point = Point(fit.mean + noise, fit.nuisances.expand(options.starts, -1, -1))
     failed = torch.isinf(posterior.log_joint(point))

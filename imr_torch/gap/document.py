@@ -72,6 +72,7 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
         "best_rival": None if judged is None else judged.rival,
         "ladder": None if parts.selection is None else selection_document(parts.selection),
+        "ladder_unsettled": None if parts.selection is None else [name.split("+") for name in parts.selection.unsettled],
         "ladder_own_gels": None if parts.selection is None else [_step(step) for step in parts.selection.own_gels],
         "gel_scatter": None if parts.scatter is None else parts.scatter.to_dict(),
         "cause_values": cause_values(report),

@@ -17,10 +17,11 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, assimilate
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
+from imr_torch.assimilate.starts import BESIDE, around
 from imr_torch.material import Belief, Effect, ModelBelief
 from imr_torch.material.belief import beside
 from imr_torch.observe import ExperimentBatch
-from imr_torch.random import child
+from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator, coarser
 from imr_torch.types import Progress
 
@@ -28,6 +29,7 @@ EXPLAINS = 3.0
 """Nats that an effect must explain to count as more than nothing."""
 
 _MANY = 6  # starts where fewer disagree
+_BESIDE_IT = 3  # the same beside a fit
 _ROUGHLY = 0.03  # gradient at which a fit by coarse bubbles ends
 _TOO_COARSE = 200.0  # nats of error of the cost beyond which coarse bubbles lead nowhere
 
@@ -219,15 +221,21 @@ def finish(
     """Continue a fit that was cut short, from where it ended and from a point beside it.
 
     The second start may end in another local minimum. The agreement in the certificate is then that of the earlier starts, if
-    they had nearly converged.
+    they had nearly converged, or that of more starts beside it.
     """
     options = options or SearchOptions(starts=2)
-    near = as_assimilation(fit, batch)
-    found = assimilate(near.prior, batch, simulator, seed=seed, options=options, near=near, warn=False, progress=progress)
-    ended = found.fits[0]
+    near, search = as_assimilation(fit, batch), partial(assimilate, options=options, warn=False, progress=progress)
+    ended = search(near.prior, batch, simulator, seed=seed, near=near).fits[0]
     if fit.certificate.gradient < NEARLY and abs(fit.cost - ended.cost) < ONE_MINIMUM:
-        return _certified(ended, min(ended.certificate.agreement, fit.certificate.agreement), options)
-    return ended
+        ended = _certified(ended, min(ended.certificate.agreement, fit.certificate.agreement), options)
+    if ended.certificate.converged or ended.certificate.gradient >= options.gradient:
+        return ended
+    source = generator(child(seed, "beside"))
+    starts = torch.stack([ended.mean + around(ended.chol, source, BESIDE) for _ in range(_BESIDE_IT)])
+    again = search(near.prior, batch, simulator, seed=child(seed, "again"), starts=[starts], nuisances=[ended.nuisances]).fits[
+        0
+    ]
+    return _lower(ended, again, options)
 
 
 def as_assimilation(fit: ModelFit, batch: ExperimentBatch) -> Assimilation:

@@ -3,7 +3,8 @@
 The verdict names a cause only if nothing is left unexplained. Measured curves nearly always leave something, and a laboratory
 still asks which effects close how much of it, and what remains. Each step adds the effect of largest evidence beside those
 chosen, and drops those that it makes superfluous. In the first two steps the fits of the attribution serve; later ones fit the
-effects that a score test at the step before ranks first. A step is a description of the data, not a cause.
+effects that a score test at the step before ranks first. A fit that does not converge is no step: the next best addition is
+tried. A step is a description of the data, not a cause.
 """
 
 import math
@@ -13,6 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from imr_torch.assimilate import ModelFit, SearchOptions
+from imr_torch.assimilate.fit import PROMISED
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Inquiry, near_values
 from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, finish, fit_hypotheses, laplace_evidence
@@ -26,6 +28,7 @@ from imr_torch.random import child
 from imr_torch.types import Progress
 
 _CANDIDATES = 6  # effects that are fitted in a later step
+_TRIED = 2  # of these, additions that are taken to their minimum until one converges
 _FIT = SearchOptions(starts=2, iterations=12, drop_behind=6.0, basin_rounds=0, polish=False)
 _FINISH = SearchOptions(starts=2, iterations=15, basin_rounds=0)
 _CLEAR = 10.0  # standard deviations from zero at which an effect is kept: some 50 nats
@@ -116,6 +119,7 @@ class StepwiseSelection:
 
     Args:
         steps: the base model first.
+        unsettled: effects, joined by ``+``, that would have been a step had their fit converged.
         own_gels: steps at which every curve has a gel of its own, where that was asked (:mod:`imr_torch.gap.own_gels`).
 
     >>> import torch
@@ -134,6 +138,7 @@ class StepwiseSelection:
     """
 
     steps: tuple[SelectionStep, ...]
+    unsettled: tuple[str, ...] = ()
     own_gels: tuple[SelectionStep, ...] = ()
 
     @property
@@ -196,18 +201,16 @@ def select_stepwise(
     """
     batch = inquiry.batch
     fits = {frozenset(name.split("+")) - {"none"}: fit for name, fit in known.items()}
-    chosen: tuple[Effect, ...] = ()
     steps, left, seen = [SelectionStep((), null, 0.0, test, left_over(null, batch))], None, {frozenset[str]()}
+    unsettled: list[str] = []
+    chosen: tuple[Effect, ...] = ()
     while len(chosen) < most and not steps[-1].adequate and inquiry.beside(chosen):
         own, before = child(seed, "rung", len(steps)), steps[-1]
-        added = _best_addition(inquiry, chosen, before.fit, left, fits, seed=own)
-        if added is None or laplace_evidence(added[1]) < laplace_evidence(before.fit) + EXPLAINS:
+        found = _next_step(inquiry, chosen, before.fit, left, fits, seen, unsettled, seed=own)
+        if found is None:
             break
-        chosen, fit = _without_superfluous(inquiry, *added, seed=own)
-        names = frozenset(effect.name for effect in chosen)
-        if names in seen:
-            break
-        seen.add(names)
+        chosen, fit = found
+        seen.add(frozenset(effect.name for effect in chosen))
         name = Hypothesis(inquiry.base, chosen).name
         left = (tested or {}).get(name) if fit is known.get(name) else None
         left = left or adequacy_test(fit, inquiry.effects, batch, inquiry.simulator, seed=child(own, "adequacy"))
@@ -215,7 +218,7 @@ def select_stepwise(
         steps.append(SelectionStep(tuple(e.name for e in chosen), fit, gained, left.test, left_over(fit, batch)))
         if progress:
             progress(f"stepwise selection: {steps[-1].name}, misfit {steps[-1].misfit:.4f}")
-    return StepwiseSelection(tuple(steps))
+    return StepwiseSelection(tuple(steps), tuple(unsettled))
 
 
 def with_held_out(selection: StepwiseSelection, held: Mapping[str, Sequence[HeldOut]], *, seed: int) -> StepwiseSelection:
@@ -235,7 +238,8 @@ def with_held_out(selection: StepwiseSelection, held: Mapping[str, Sequence[Held
         said = (score.difference, score.standard_error)
         return replace(step, closed=closed[step.name], log_score=said, trained=trained)
 
-    return StepwiseSelection((selection.steps[0], *map(judged, selection.steps[1:])), tuple(map(judged, selection.own_gels)))
+    steps = (selection.steps[0], *map(judged, selection.steps[1:]))
+    return replace(selection, steps=steps, own_gels=tuple(map(judged, selection.own_gels)))
 
 
 def left_over(fit: ModelFit, batch: ExperimentBatch) -> tuple[Left, ...]:
@@ -261,7 +265,38 @@ def _over_frames(values: Sequence[float], parts: Sequence[Left]) -> float:
     return math.sqrt(sum(value**2 * part.frames for value, part in zip(values, parts, strict=True)) / frames)
 
 
-def _best_addition(
+def _next_step(
+    inquiry: Inquiry,
+    chosen: tuple[Effect, ...],
+    fit: ModelFit,
+    left: Adequacy | None,
+    fits: dict[frozenset[str], ModelFit],
+    seen: set[frozenset[str]],
+    unsettled: list[str],
+    *,
+    seed: int,
+) -> tuple[tuple[Effect, ...], ModelFit] | None:
+    """The effects of the next step and their fit, which has converged; None if nothing is gained by a further effect.
+
+    The minimum is sought once, after superfluous effects are gone. What did not converge is appended to ``unsettled``.
+    """
+    had = laplace_evidence(fit)
+    for added in _additions(inquiry, chosen, fit, left, fits, seed=seed)[:_TRIED]:
+        if laplace_evidence(added[1]) + _promised(added[1]) < had + EXPLAINS:
+            break
+        found, rough = _without_superfluous(inquiry, *added, seed=seed)
+        if frozenset(effect.name for effect in found) in seen:
+            break
+        finished = _finished(rough, inquiry, seed)
+        if not finished.certificate.converged:
+            unsettled.append(Hypothesis(inquiry.base, found).name)
+            continue
+        more = len(found) > len(chosen)
+        return (found, finished) if laplace_evidence(finished) >= had + (EXPLAINS if more else 0.0) else None
+    return None
+
+
+def _additions(
     inquiry: Inquiry,
     chosen: tuple[Effect, ...],
     fit: ModelFit,
@@ -269,8 +304,8 @@ def _best_addition(
     fits: dict[frozenset[str], ModelFit],
     *,
     seed: int,
-) -> tuple[tuple[Effect, ...], ModelFit] | None:
-    """The effects with one more, that of largest evidence, and their fit; None if none can be fitted."""
+) -> list[tuple[tuple[Effect, ...], ModelFit]]:
+    """The effects with one more and their fits, not finished, that of largest evidence first; none if none can be fitted."""
     have = frozenset(effect.name for effect in chosen)
     beside = inquiry.beside(chosen)
     if sum(have | {effect.name} in fits for effect in beside) <= _CANDIDATES:  # no attribution was made of these
@@ -280,11 +315,8 @@ def _best_addition(
         starts = {} if left is None else left.starts
         found = fit_hypotheses(tried, fit, inquiry.batch, inquiry.simulator, seed=seed, starts=starts, options=_FIT)
         fits |= {frozenset(name.split("+")): own for name, own in found.items()}
-    known = {effect: fits[have | {effect.name}] for effect in beside if have | {effect.name} in fits}
-    if not known:
-        return None
-    best = max(known, key=lambda effect: laplace_evidence(known[effect]))
-    return (*chosen, best), _finished(known[best], inquiry, seed)
+    known = [((*chosen, effect), fits[have | {effect.name}]) for effect in beside if have | {effect.name} in fits]
+    return sorted(known, key=lambda addition: -laplace_evidence(addition[1]))
 
 
 def _without_superfluous(
@@ -305,7 +337,7 @@ def _without_superfluous(
         best = max(tried, key=lambda h: laplace_evidence(found[h.name]))
         if laplace_evidence(found[best.name]) < laplace_evidence(fit) - EXPLAINS:
             break
-        chosen, fit = best.effects, _finished(found[best.name], inquiry, seed)
+        chosen, fit = best.effects, found[best.name]
     return chosen, fit
 
 
@@ -314,6 +346,11 @@ def _distance(fit: ModelFit, effect: Effect) -> float:
     place = fit.prior.names.index(effect.names[0])
     marginal, at, sd = fit.prior.marginals[place], fit.mean[place], fit.chol[place].norm()
     return float(marginal.to_physical(at).abs() / (sd * marginal.log_slope(at).exp()))
+
+
+def _promised(fit: ModelFit) -> float:
+    """Nats that a fit which has not converged may still gain, by its gradient."""
+    return 0.0 if fit.certificate.converged else PROMISED * fit.certificate.gradient**2
 
 
 def _finished(fit: ModelFit, inquiry: Inquiry, seed: int) -> ModelFit:

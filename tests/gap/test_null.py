@@ -68,17 +68,26 @@ def test_that_starts_which_arrived_apart_are_certified_only_if_more_of_them_find
 
 
 @pytest.mark.parametrize(
-    ("gradient", "cost", "converged"),
-    [(0.02, -2.8, True), (0.02, -2.0, False), (0.4, -2.8, False)],  # as before; another minimum; starts that were far away
+    ("gradient", "cost", "more", "converged"),
+    [
+        (0.02, -2.8, 5.0, True),  # as before
+        (0.02, -2.0, 5.0, False),  # another minimum
+        (0.4, -2.8, 5.0, False),  # starts that were far away
+        (0.4, -2.8, 0.01, True),  # the same, and more starts beside it find it too
+    ],
 )
 def test_that_a_fit_taken_up_again_counts_the_agreement_of_starts_that_were_all_but_there(
-    known, monkeypatch, gradient, cost, converged
+    known, monkeypatch, gradient, cost, more, converged
 ) -> None:
     before = replace(
         known, cost=-3.0, certificate=replace(known.certificate, gradient=gradient, agreement=1e-3, converged=False)
     )
     apart = replace(known.certificate, gradient=1e-5, agreement=84.0, converged=False)
     ended = replace(known, cost=cost, certificate=apart)
-    monkeypatch.setattr(hypotheses, "assimilate", lambda belief, batch, *_, **__: Assimilation(belief, batch, (ended,)))
+
+    def search(belief, batch, *_, near=None, **__):
+        return Assimilation(belief, batch, (ended if near is not None else replace(ended, cost=cost + more),))
+
+    monkeypatch.setattr(hypotheses, "assimilate", search)
     batch = shoot({}, DESIGNS[:1], repeats=2, end=1.5)
     assert hypotheses.finish(before, batch, PolytropicSimulator(), seed=0).certificate.converged is converged

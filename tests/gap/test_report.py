@@ -53,6 +53,7 @@ PARTS = (
     "best_rival",
     "ladder",
     "ladder_own_gels",
+    "ladder_unsettled",
     "gel_scatter",
     "next_design",
 )

@@ -97,6 +97,27 @@ def test_that_fits_saved_by_amplitudes_far_from_zero_change_no_step(selected, mo
     assert slow.steps[-1].test.p_value == pytest.approx(parts.selection.steps[-1].test.p_value, rel=0.5)
 
 
+def test_that_a_fit_which_does_not_converge_is_no_step_and_that_the_next_best_addition_is_tried(selected, monkeypatch) -> None:
+    report, parts = selected
+    inquiry = Inquiry(BASE, tuple(LIBRARY[name] for name in report.directions), report.batch, SIMULATOR)
+    (first,) = parts.selection.steps[1].effects
+    finished = stepwise._finished
+
+    def failing(fit, *rest):
+        found = finished(fit, *rest)
+        alone = set(fit.prior.names) - set(BASE.names) == set(LIBRARY[first].names)
+        return replace(found, certificate=replace(found.certificate, converged=not alone))
+
+    monkeypatch.setattr(stepwise, "_finished", failing)
+    selection = select_stepwise(inquiry, report.null, report.gap, report.fits, seed=0)
+    assert selection.unsettled == (first,)
+    assert selection.steps[1].effects != (first,)
+    assert all(step.converged for step in selection.steps)
+    said = describe(report, replace(parts, selection=selection))
+    assert f"{first} was no step, since its fit did not converge." in said
+    assert to_json(report, replace(parts, selection=selection))["ladder_unsettled"] == [[first]]
+
+
 def test_that_what_is_left_of_a_perfect_fit_is_within_its_noise() -> None:
     batch = shoot({}, DESIGNS, repeats=20)
     parts = left_over(fit(batch), batch)
