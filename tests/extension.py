@@ -25,6 +25,7 @@ from imr_torch.material import (
     Parameter,
     StressTerm,
     TruncatedNormal,
+    library,
     register,
     register_effect,
     register_term,
@@ -134,7 +135,8 @@ def main(folder: Path) -> None:
     )
     designs = torch.tensor([[300.0, 0.2], [700.0, 0.16], [500.0, 0.25]], dtype=torch.float64)
     shots = [laboratory.shoot(each, seed=i) for i, each in enumerate(designs)]
-    report = diagnose(shots, noise=laboratory.noise, simulator=simulator)
+    rivals = library(("surge", "far_field_pressure", "sound_speed", "gas_loss"))
+    report = diagnose(shots, effects=rivals, noise=laboratory.noise, simulator=simulator)
     print("effect", report.verdict, "+".join(report.cause))
 
     prior, plan, own = wide_prior(("nhkv", "two_springs")), Plan(), GaussianChannel()

@@ -29,6 +29,8 @@ CHECKED = (
 STAGES = ("material", "simulate", "observe", "assimilate", "goodness", "select", "calibration", "gap", "export")
 SLOW = (
     "integrates_to_one",
+    "are_scipys",
+    "of_scipys",
     "noise_estimation",
     "bad_frames",
     "profile",

@@ -114,7 +114,7 @@ def test_that_draws_of_a_wrong_shape_are_an_error_that_says_which_is_right():
 
 def test_that_ensemble_4dvar_is_calibrated_and_its_tempered_form_is_not():
     sharp, tempered_ = (
-        [r.gaussian for r in run(60, arrangement=replace(LINEAR, prior=prior(("nhkv",)), options=En4DVarOptions(tempered=t)))]
+        [r.gaussian for r in run(40, arrangement=replace(LINEAR, prior=prior(("nhkv",)), options=En4DVarOptions(tempered=t)))]
         for t in (False, True)
     )
     for name in ("G", "mu"):

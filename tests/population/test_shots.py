@@ -20,7 +20,7 @@ BELIEF = Belief((PART,), torch.zeros(1, dtype=torch.float64))
 
 def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_that_hold() -> None:
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
-    for seed in range(30):
+    for seed in range(20):
         batch, gels = drifting(seed, alone=True)
         shots = [ExperimentBatch((shot,), NOISE) for shot in batch.experiments]
         fits = [assimilate(BELIEF, shot, Slow(), seed=0, options=OPTIONS).fits[0] for shot in shots]

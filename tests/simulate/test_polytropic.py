@@ -191,13 +191,13 @@ def test_that_a_failing_member_is_named_and_its_neighbours_are_not_disturbed(eng
 @BOTH
 def test_that_running_out_of_steps_says_so_and_gives_what_was_reached(engine: Engine) -> None:
     short = PolytropicSimulator(engine=engine, stepping=Stepping(0.1, max_steps=32, retries=0))
-    solution = short(gel(**GEL), tensor(*DESIGN), grid(50.0, 501))
+    solution = short(gel(**GEL), tensor(*DESIGN), grid(10.0, 101))
     assert int(solution.status) == Status.TOO_MANY_STEPS
     assert "max_steps" in solution.summary()
     known = torch.isfinite(solution.radius)
-    assert 1 < int(known.sum()) < 501
+    assert 1 < int(known.sum()) < 101
     assert not bool(known.diff().to(torch.int8).sum() > 1)
-    full = PolytropicSimulator(engine=engine, stepping=Stepping(0.1))(gel(**GEL), tensor(*DESIGN), grid(50.0, 501))
+    full = PolytropicSimulator(engine=engine, stepping=Stepping(0.1))(gel(**GEL), tensor(*DESIGN), grid(10.0, 101))
     torch.testing.assert_close(solution.radius[known], full.radius[known], rtol=0.0, atol=1e-12)
 
 
@@ -235,8 +235,8 @@ def test_that_memory_that_fades_within_a_step_is_followed_at_the_limit_of_stabil
     springs = {"tau": {"G": 5e3}, "tau_ucm": {}, "tau_sns": {"G": 5e3}, "tau_sls": {"G_lin": 5e3}}
     gels = torch.stack([gel(mu=0.1, **{name: 4e-7}, **spring) for name, spring in springs.items()])
     coarse, fine = (
-        PolytropicSimulator(engine=engine, stepping=stepping)(gels, tensor(400.0, 0.2), grid(1.5, 31))
-        for stepping in (Stepping(step, retries=0), FINE)
+        PolytropicSimulator(engine=chosen, stepping=stepping)(gels, tensor(400.0, 0.2), grid(1.5, 31))
+        for chosen, stepping in ((engine, Stepping(step, retries=0)), ("compiled", FINE))
     )
     assert bool(coarse.ok.all())
     assert float((coarse.radius - fine.radius).abs().max()) < error

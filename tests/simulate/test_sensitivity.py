@@ -108,12 +108,12 @@ def test_that_the_leader_of_a_bundle_does_not_feel_its_followers(simulator: Simu
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_that_they_do_not_depend_on_neighbours_blocks_or_the_other_columns(engine, monkeypatch: pytest.MonkeyPatch) -> None:
-    parameters, designs = gels(7)
+    parameters, designs = gels(4)
     simulator = replace(FAST, engine=engine)
     with monkeypatch.context() as patch:
         patch.setattr("imr_torch.simulate.transport._BATCH", 9)
         _, together = sensitivities(simulator, parameters, designs, TIMES, names=("G", "mu", "rest_radius"))
-    for i in (0, 6):
+    for i in (0, 3):
         _, alone = sensitivities(simulator, parameters[i], designs[i], TIMES, names=("rest_radius", "G"))
         assert relative(together[i][:, [2, 0]], alone) < 1e-5
 
