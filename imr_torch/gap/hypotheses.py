@@ -232,10 +232,8 @@ def finish(
         return ended
     source = generator(child(seed, "beside"))
     starts = torch.stack([ended.mean + around(ended.chol, source, BESIDE) for _ in range(_BESIDE_IT)])
-    again = search(near.prior, batch, simulator, seed=child(seed, "again"), starts=[starts], nuisances=[ended.nuisances]).fits[
-        0
-    ]
-    return _lower(ended, again, options)
+    again = search(near.prior, batch, simulator, seed=child(seed, "again"), starts=[starts], nuisances=[ended.nuisances])
+    return _lower(ended, again.fits[0], options)
 
 
 def as_assimilation(fit: ModelFit, batch: ExperimentBatch) -> Assimilation:

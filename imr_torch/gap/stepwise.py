@@ -201,21 +201,23 @@ def select_stepwise(
     """
     batch = inquiry.batch
     fits = {frozenset(name.split("+")) - {"none"}: fit for name, fit in known.items()}
-    steps, left, seen = [SelectionStep((), null, 0.0, test, left_over(null, batch))], None, {frozenset[str]()}
-    unsettled: list[str] = []
-    chosen: tuple[Effect, ...] = ()
-    while len(chosen) < most and not steps[-1].adequate and inquiry.beside(chosen):
-        own, before = child(seed, "rung", len(steps)), steps[-1]
-        found = _next_step(inquiry, chosen, before.fit, left, fits, seen, unsettled, seed=own)
+    steps, here = [SelectionStep((), null, 0.0, test, left_over(null, batch))], _Here((), null)
+    seen, unsettled = {frozenset[str]()}, list[str]()
+    while len(here.chosen) < most and not steps[-1].adequate and inquiry.beside(here.chosen):
+        own, before = child(seed, "rung", len(steps)), here.fit
+        found, failed = _next_step(inquiry, here, fits, seen, seed=own)
+        unsettled += failed
         if found is None:
             break
         chosen, fit = found
-        seen.add(frozenset(effect.name for effect in chosen))
+        names = tuple(effect.name for effect in chosen)
+        seen.add(frozenset(names))
         name = Hypothesis(inquiry.base, chosen).name
         left = (tested or {}).get(name) if fit is known.get(name) else None
         left = left or adequacy_test(fit, inquiry.effects, batch, inquiry.simulator, seed=child(own, "adequacy"))
-        gained = laplace_evidence(fit) - laplace_evidence(before.fit)
-        steps.append(SelectionStep(tuple(e.name for e in chosen), fit, gained, left.test, left_over(fit, batch)))
+        here = _Here(chosen, fit, left)
+        gained = laplace_evidence(fit) - laplace_evidence(before)
+        steps.append(SelectionStep(names, fit, gained, left.test, left_over(fit, batch)))
         if progress:
             progress(f"stepwise selection: {steps[-1].name}, misfit {steps[-1].misfit:.4f}")
     return StepwiseSelection(tuple(steps), tuple(unsettled))
@@ -265,47 +267,43 @@ def _over_frames(values: Sequence[float], parts: Sequence[Left]) -> float:
     return math.sqrt(sum(value**2 * part.frames for value, part in zip(values, parts, strict=True)) / frames)
 
 
-def _next_step(
-    inquiry: Inquiry,
-    chosen: tuple[Effect, ...],
-    fit: ModelFit,
-    left: Adequacy | None,
-    fits: dict[frozenset[str], ModelFit],
-    seen: set[frozenset[str]],
-    unsettled: list[str],
-    *,
-    seed: int,
-) -> tuple[tuple[Effect, ...], ModelFit] | None:
-    """The effects of the next step and their fit, which has converged; None if nothing is gained by a further effect.
+@dataclass(frozen=True)
+class _Here:
+    """Where the selection stands: the effects, their fit, and the gap test there, None of the base model."""
 
-    The minimum is sought once, after superfluous effects are gone. What did not converge is appended to ``unsettled``.
+    chosen: tuple[Effect, ...]
+    fit: ModelFit
+    left: Adequacy | None = None
+
+
+def _next_step(
+    inquiry: Inquiry, here: _Here, fits: dict[frozenset[str], ModelFit], seen: set[frozenset[str]], *, seed: int
+) -> tuple[tuple[tuple[Effect, ...], ModelFit] | None, list[str]]:
+    """The effects of the next step and their fit, which has converged; None if nothing is gained. Then what did not converge.
+
+    The minimum is sought once, after superfluous effects are gone.
     """
-    had = laplace_evidence(fit)
-    for added in _additions(inquiry, chosen, fit, left, fits, seed=seed)[:_TRIED]:
+    had, failed = laplace_evidence(here.fit), list[str]()
+    for added in _additions(inquiry, here, fits, seed=seed)[:_TRIED]:
         if laplace_evidence(added[1]) + _promised(added[1]) < had + EXPLAINS:
             break
-        found, rough = _without_superfluous(inquiry, *added, seed=seed)
-        if frozenset(effect.name for effect in found) in seen:
+        chosen, rough = _without_superfluous(inquiry, *added, seed=seed)
+        if frozenset(effect.name for effect in chosen) in seen:
             break
-        finished = _finished(rough, inquiry, seed)
-        if not finished.certificate.converged:
-            unsettled.append(Hypothesis(inquiry.base, found).name)
+        fit = _finished(rough, inquiry, seed)
+        if not fit.certificate.converged:
+            failed.append(Hypothesis(inquiry.base, chosen).name)
             continue
-        more = len(found) > len(chosen)
-        return (found, finished) if laplace_evidence(finished) >= had + (EXPLAINS if more else 0.0) else None
-    return None
+        needed = EXPLAINS if len(chosen) > len(here.chosen) else 0.0
+        return ((chosen, fit) if laplace_evidence(fit) >= had + needed else None), failed
+    return None, failed
 
 
 def _additions(
-    inquiry: Inquiry,
-    chosen: tuple[Effect, ...],
-    fit: ModelFit,
-    left: Adequacy | None,
-    fits: dict[frozenset[str], ModelFit],
-    *,
-    seed: int,
+    inquiry: Inquiry, here: _Here, fits: dict[frozenset[str], ModelFit], *, seed: int
 ) -> list[tuple[tuple[Effect, ...], ModelFit]]:
     """The effects with one more and their fits, not finished, that of largest evidence first; none if none can be fitted."""
+    chosen, fit, left = here.chosen, here.fit, here.left
     have = frozenset(effect.name for effect in chosen)
     beside = inquiry.beside(chosen)
     if sum(have | {effect.name} in fits for effect in beside) <= _CANDIDATES:  # no attribution was made of these
