@@ -4,10 +4,11 @@
                                [--physics polytropic] [--truths reference] [--nuisances]
                              [--seed 0] [--workers 2] [--onset] [--shrinkage]
   python -m benchmarks.gap table OUT.jsonl ... [--json ROWS.json]
+  python -m benchmarks.gap rivals OUT.jsonl [--physics transport]
 
 One line a set is appended as it finishes, and sets that have a line are not run again, so a run can be stopped, resumed and
 extended at will. Pairs have 5 designs x 100 repeats whatever the sizes. Kind "next" adds up to three shots to sets that leave
-several causes, chosen to tell these apart and at random. Thresholds are those of the library; they are printed, and their hash
+several causes, chosen to tell these apart and at random. `rivals` says whether any shots could tell these apart. Thresholds are those of the library; they are printed, and their hash
 stands in every line.
 """
 
@@ -25,6 +26,7 @@ from typing import Any
 import torch
 
 from benchmarks.gap import causes
+from benchmarks.gap.rivals import ambiguous, described, rivals
 from benchmarks.gap.run import Extras, frozen, run_task, thresholds
 from benchmarks.gap.sets import KINDS, PHYSICS, TRUTHS, Task
 from benchmarks.gap.table import amounts, controls, read_lines, shares, table
@@ -142,9 +144,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tables = commands.add_parser("table", help="score the lines of runs")
     tables.add_argument("files", nargs="+", metavar="OUT.jsonl")
     tables.add_argument("--json", type=Path, metavar="ROWS.json", help="write the rows of each physics")
+    limits = commands.add_parser("rivals", help="could any shots tell apart what a run left ambiguous?")
+    limits.add_argument("file", type=Path, metavar="OUT.jsonl")
+    limits.add_argument("--physics", choices=PHYSICS, help="of the bubbles, if another than that of the sets")
     args = parser.parse_args(arguments)
     if args.command == "table":
         _score(args)
+        return
+    if args.command == "rivals":
+        for line in filter(ambiguous, read_lines(args.file)):
+            print(described(line, rivals(line, args.physics or line["physics"])), flush=True)
         return
     names = [[name for name in text.split(",") if name] for text in (args.kinds, args.sizes, args.effects)]
     own = {"nuisances": args.nuisances, "effects": tuple(names[2]), "truths": args.truths}

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from torch import Tensor
 
 from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
-from imr_torch.material import PARAMETERS
+from imr_torch.material import PARAMETERS, Effect
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
 
@@ -22,6 +22,7 @@ Vector = NDArray[np.float64]
 
 _NUDGE = 1e-4  # relative step of G and mu, and step of nuisances in prior sd, for their slopes
 _FARTHEST = 3.0  # move of the log of G and mu, which the first frames alone do not hold
+_UNLIKELY = 6.0  # prior standard deviations that the parameters of a rival may reach
 _EVALUATIONS = 60
 _TOLERANCE = 1e-6  # relative, of the sum of squares
 _FAILED = 1e3  # residual of every frame where a bubble has no curve: no step goes there
@@ -62,6 +63,22 @@ def signal_by_phase(
     return [min(_refit(gel, curve, frames, plan, simulator, start=start)[0] for start in (None, whole)) for frames in parts]
 
 
+def beside_rival(
+    gel: Mapping[str, float], truth: Mapping[str, float], rival: Effect, plan: ExperimentBatch, simulator: Simulator
+) -> float:
+    """What a refit of the gel and of another effect leaves of a true one, in standard deviations of the data.
+
+    Args:
+        gel: G and mu, SI.
+        truth: changed parameters of the true effect, SI.
+        rival: the other effect, refitted from each of its starts with its priors.
+        plan: the experiments.
+        simulator: makes the bubbles.
+    """
+    curve = predict(simulator, PARAMETERS.pack({**gel, **truth})[None], plan)[0]
+    return min(_refit(gel, curve, plan.mask, plan, simulator, rival=(rival, values))[0] for values in rival.starts)
+
+
 def _refit(
     gel: Mapping[str, float],
     curve: Tensor,
@@ -70,22 +87,30 @@ def _refit(
     simulator: Simulator,
     *,
     start: Vector | None = None,
+    rival: tuple[Effect, Sequence[float]] | None = None,
 ) -> tuple[float, Vector]:
     """Length of what a refit leaves of a true curve (``E x T``) in some frames, and where it ended.
 
-    Places are moves of the log of each parameter of the gel, then of each uncertain nuisance of each experiment in prior sd.
+    Places are moves of the log of each parameter of the gel, then controls of the parameters of a rival, which begin at given
+    values, then moves of each uncertain nuisance of each experiment in prior sd.
     """
     uncertain: list[int] = torch.nonzero((plan.nuisance_sds > 0.0).any(0))[:, 0].tolist()
     experiments, sd = len(plan.experiments), plan.sd(curve)
-    still = np.zeros(len(gel) + experiments * len(uncertain))
+    priors = {} if rival is None else rival[0].priors
+    values = () if rival is None else rival[1]
+    begun = [float(prior.to_control(torch.tensor(x).double())) for prior, x in zip(priors.values(), values, strict=True)]
+    own = len(gel) + len(priors)
+    still = np.concatenate((np.zeros(len(gel)), begun, np.zeros(experiments * len(uncertain))))
     if not bool(torch.isfinite(curve[frames]).all()):
         return math.nan, still
 
     def place(x: Tensor) -> tuple[Tensor, Tensor]:
-        values = torch.tensor(list(gel.values()), dtype=torch.float64) * x[:, : len(gel)].exp()
-        rows = torch.stack([PARAMETERS.pack(dict(zip(gel, row, strict=True))) for row in values.tolist()])
+        moved = torch.tensor(list(gel.values()), dtype=torch.float64) * x[:, : len(gel)].exp()
+        beside = [prior.to_physical(x[:, len(gel) + i]) for i, prior in enumerate(priors.values())]
+        values = torch.cat((moved, *(column[:, None] for column in beside)), 1)
+        rows = torch.stack([PARAMETERS.pack(dict(zip((*gel, *priors), row, strict=True))) for row in values.tolist()])
         shifts = x.new_zeros(len(x), experiments, 3)
-        shifts[..., uncertain] = x[:, len(gel) :].unflatten(1, (experiments, len(uncertain)))
+        shifts[..., uncertain] = x[:, own:].unflatten(1, (experiments, len(uncertain)))
         return rows, shifts * plan.nuisance_sds
 
     def whitened(radius: Tensor) -> Tensor:
@@ -98,16 +123,16 @@ def _refit(
 
     def slopes(x: Vector) -> Vector:
         # a nuisance moves its own experiment alone, so that of all experiments is moved at once
-        everywhere = torch.block_diag(torch.eye(len(gel)), torch.eye(len(uncertain)).repeat(1, experiments)).double()
+        everywhere = torch.block_diag(torch.eye(own), torch.eye(len(uncertain)).repeat(1, experiments)).double()
         rows, shifts = place(torch.from_numpy(x) + _NUDGE * torch.cat((everywhere.new_zeros(1, len(x)), everywhere)))
         radius = predict(simulator, rows[None], plan, shifts[None], bundled=True)[0]
         moved = (radius[1:] - radius[0]) / _NUDGE
-        own = torch.eye(experiments, dtype=torch.float64)[:, None, :, None] * moved[len(gel) :]  # E x C x E x T
-        columns = whitened(curve + torch.cat((moved[: len(gel)], own.flatten(0, 1)))).nan_to_num()
-        priors = torch.eye(len(x), dtype=torch.float64)[:, len(gel) :]
-        return torch.cat((columns, priors), 1).mT.numpy()
+        alone = torch.eye(experiments, dtype=torch.float64)[:, None, :, None] * moved[own:]  # E x C x E x T
+        columns = whitened(curve + torch.cat((moved[:own], alone.flatten(0, 1)))).nan_to_num()
+        believed = torch.eye(len(x), dtype=torch.float64)[:, len(gel) :]
+        return torch.cat((columns, believed), 1).mT.numpy()
 
-    farthest = np.where(np.arange(len(still)) < len(gel), _FARTHEST, np.inf)
-    begin = still if start is None else start.clip(-farthest, farthest)
+    farthest = np.repeat((_FARTHEST, _UNLIKELY, np.inf), (len(gel), len(priors), len(still) - own))
+    begin = (still if start is None else start).clip(-farthest, farthest)
     found = least_squares(residual, begin, slopes, (-farthest, farthest), ftol=_TOLERANCE, max_nfev=_EVALUATIONS)
     return math.sqrt(2.0 * found.cost), found.x

@@ -11,9 +11,10 @@ from scipy.stats import binomtest
 
 from benchmarks.gap import causes
 from benchmarks.gap.__main__ import append, main, tasks
+from benchmarks.gap.rivals import ambiguous, described, rivals
 from benchmarks.gap.run import Extras, frozen, run_task, thresholds
 from benchmarks.gap.sets import Task, choose, draw_designs, draw_effect, make_plan, make_set
-from benchmarks.gap.signals import signal_by_phase, signals
+from benchmarks.gap.signals import beside_rival, signal_by_phase, signals
 from benchmarks.gap.table import (
     SHOTS,
     Row,
@@ -142,6 +143,29 @@ def test_that_what_shows_of_an_effect_is_what_the_null_fit_leaves_of_its_curve()
     by_phase = signal_by_phase(gel, effect, plan, simulator)
     assert all(early <= late + 0.01 for early, late in pairwise(by_phase))
     assert by_phase[-1] == pytest.approx(shown, rel=1e-3)
+
+
+def test_that_an_effect_of_the_same_form_leaves_nothing_of_the_true_one_and_another_does() -> None:
+    """Polytropic gas that begins at another pressure: hot, or more of it."""
+    task, gel, truth = Task("effect", 3, 10, "polytropic", 0, nuisances=True), {"G": 5e3, "mu": 0.1}, {"excess_gas": 0.15}
+    plan, simulator = make_plan(draw_designs(3, generator(0)), task), task.simulator()
+    left = {name: beside_rival(gel, truth, LIBRARY[name], plan, simulator) for name in ("hot_contents", "sound_speed")}
+    assert left["hot_contents"] < 2.0 < 4.0 < left["sound_speed"] <= signals(gel, [truth], plan, simulator)[0] + 0.01
+
+
+def test_that_rivals_are_found_of_sets_that_were_left_ambiguous() -> None:
+    task = Task("effect", 2, 4, "polytropic", 0, effects=("refraction", "missed_maximum"))
+    line = {"key": task.key, "kind": "effect", "size": task.size, "physics": task.physics, "seed": 0, "nuisances": False}
+    line |= {"truths": "reference", "truth": list(make_set(task).truth), "gap": True}
+    verdicts = [("other", []), ("class", ["wall", "clock"]), ("effect", ["wall"]), ("class", ["hot_contents", "excess_gas"])]
+    assert [ambiguous({**line, "verdict": v, "cause": c}) for v, c in verdicts] == [True, True, False, True]
+    assert not ambiguous({**line, "verdict": "none", "cause": [], "gap": False})
+    assert ambiguous({**line, "kind": "next", "ambiguous": True})
+    found = rivals(line, "polytropic")
+    ((few, many),) = found.values()
+    assert {*found, *line["truth"]} == {"refraction", "missed_maximum"}
+    assert 0.0 < few < many
+    assert described(line, found).endswith(f"beside {next(iter(found))} {few:.1f} to {many:.1f} sd")
 
 
 def test_that_a_wrong_name_comes_with_what_the_truth_would_gain() -> None:
