@@ -8,8 +8,8 @@
 
 One line a set is appended as it finishes, and sets that have a line are not run again, so a run can be stopped, resumed and
 extended at will. Pairs have 5 designs x 100 repeats whatever the sizes. Kind "next" adds up to three shots to sets that leave
-several causes, chosen to tell these apart and at random. `rivals` says whether any shots could tell these apart. Thresholds are those of the library; they are printed, and their hash
-stands in every line.
+several causes, chosen to tell these apart and at random; `rivals` says whether any shots could. Thresholds are those of the
+library; they are printed, and their hash stands in every line.
 """
 
 import argparse

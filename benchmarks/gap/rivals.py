@@ -29,15 +29,16 @@ def ambiguous(line: Mapping[str, Any]) -> bool:
     return line["kind"] == "effect" and line["gap"] and not named
 
 
-def rivals(line: Mapping[str, Any], physics: str) -> dict[str, tuple[float, float]]:
+def rivals(line: Mapping[str, Any], physics: str, effects: tuple[str, ...] = ()) -> dict[str, tuple[float, float]]:
     """What the most similar effects leave of the true one, sd: at the designs of the set, and with 25 further ones.
 
     Args:
         line: of a set that was left ambiguous.
         physics: by which the bubbles are simulated; that of the set or another.
+        effects: as of the set's :class:`benchmarks.gap.sets.Task`.
     """
     size = map(int, line["size"].split("x"))
-    task = Task(line["kind"], *size, line["physics"], line["seed"], line["nuisances"], truths=line["truths"])
+    task = Task(line["kind"], *size, line["physics"], line["seed"], line["nuisances"], effects, line["truths"])
     data = make_set(task)
     simulator = replace(task, physics=physics).simulator()
     gel = {name: data.values[name] for name in GEL}

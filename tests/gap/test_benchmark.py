@@ -161,7 +161,7 @@ def test_that_rivals_are_found_of_sets_that_were_left_ambiguous() -> None:
     assert [ambiguous({**line, "verdict": v, "cause": c}) for v, c in verdicts] == [True, True, False, True]
     assert not ambiguous({**line, "verdict": "none", "cause": [], "gap": False})
     assert ambiguous({**line, "kind": "next", "ambiguous": True})
-    found = rivals(line, "polytropic")
+    found = rivals(line, "polytropic", task.effects)
     ((few, many),) = found.values()
     assert {*found, *line["truth"]} == {"refraction", "missed_maximum"}
     assert 0.0 < few < many
