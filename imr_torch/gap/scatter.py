@@ -14,10 +14,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
+from imr_torch.assimilate import ModelFit, assimilate
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.hypotheses import EXPLAINS, laplace_evidence
+from imr_torch.gap.hypotheses import EXPLAINS, finish, laplace_evidence
 from imr_torch.gap.prediction import GEL_SCATTER, with_scatter
 from imr_torch.goodness.score import ADEQUATE
 from imr_torch.labels import p_value
@@ -164,18 +164,10 @@ def fit_alone(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
         own = child(seed, "alone", experiment.label)
         beside = _APART * torch.randn(2, len(fit.mean), generator=generator(own), dtype=torch.float64)
         starts = torch.cat((fit.mean[None], fit.mean + beside))
-        one, options = ExperimentBatch((experiment,), batch.noise), SearchOptions()
-        fits = assimilate(
-            belief,
-            one,
-            simulator,
-            seed=own,
-            options=options,
-            starts=[starts],
-            nuisances=[fit.nuisances[e : e + 1]],
-            warn=False,
-        )
-        found.append(fits.fits[0])
+        one = ExperimentBatch((experiment,), batch.noise)
+        nuisances = [fit.nuisances[e : e + 1]]
+        alone = assimilate(belief, one, simulator, seed=own, starts=[starts], nuisances=nuisances, warn=False).fits[0]
+        found.append(alone if alone.certificate.converged else finish(alone, one, simulator, seed=child(own, "finish")))
     return tuple(found)
 
 

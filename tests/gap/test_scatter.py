@@ -1,12 +1,14 @@
 """Scatter of the gel as a cause: found where gels differ, not where one gel has an effect, not asked of repeats."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
 
 from imr_torch import PolytropicSimulator
-from imr_torch.gap import GapReport, diagnose, library
+from imr_torch.assimilate import SearchOptions, assimilate
+from imr_torch.gap import GapReport, diagnose, library, scatter
 from imr_torch.gap.own_gels import own_gel_steps
 from imr_torch.gap.prediction import hold_out
 from imr_torch.gap.scatter import GelScatter, gel_scatter
@@ -48,6 +50,19 @@ def test_that_gels_that_differ_are_found_and_no_gap_is_left(two_gels: tuple[GapR
     assert low < 0.3 < high  # the standard deviation of the three logarithms
     assert found.scatter["mu"][1] < 0.1
     assert "the gel differs" in " ".join(found.sentences())
+
+
+def test_that_the_fit_of_a_curve_that_did_not_converge_is_continued(
+    two_gels: tuple[GapReport, GelScatter], monkeypatch
+) -> None:
+    report, found = two_gels
+    short = SearchOptions(iterations=1, polish=False)
+    monkeypatch.setattr(scatter, "assimilate", partial(assimilate, options=short))
+    (curve,) = scatter.fit_alone(
+        report.null, ExperimentBatch(report.batch.experiments[1:2], report.batch.noise), SIMULATOR, seed=0
+    )
+    assert curve.certificate.converged
+    assert curve.cost == pytest.approx(found.alone["gel_scatter"][1].cost, abs=1e-3)
 
 
 def test_that_gels_of_their_own_close_the_gap_on_curves_that_no_fit_saw(two_gels: tuple[GapReport, GelScatter]) -> None:
