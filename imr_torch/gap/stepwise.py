@@ -119,8 +119,8 @@ class StepwiseSelection:
 
     Args:
         steps: the base model first.
-        unsettled: effects, joined by ``+``, that would have been a step had their fit converged.
         own_gels: steps at which every curve has a gel of its own, where that was asked (:mod:`imr_torch.gap.own_gels`).
+        unsettled: effects, joined by ``+``, that would have been a step had their fit converged.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -138,8 +138,8 @@ class StepwiseSelection:
     """
 
     steps: tuple[SelectionStep, ...]
-    unsettled: tuple[str, ...] = ()
     own_gels: tuple[SelectionStep, ...] = ()
+    unsettled: tuple[str, ...] = ()
 
     @property
     def best(self) -> SelectionStep:
@@ -220,7 +220,7 @@ def select_stepwise(
         steps.append(SelectionStep(names, fit, gained, left.test, left_over(fit, batch)))
         if progress:
             progress(f"stepwise selection: {steps[-1].name}, misfit {steps[-1].misfit:.4f}")
-    return StepwiseSelection(tuple(steps), tuple(unsettled))
+    return StepwiseSelection(tuple(steps), unsettled=tuple(unsettled))
 
 
 def with_held_out(selection: StepwiseSelection, held: Mapping[str, Sequence[HeldOut]], *, seed: int) -> StepwiseSelection:
