@@ -152,7 +152,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _score(args)
         return
     if args.command == "rivals":
-        for line in filter(ambiguous, read_lines(args.file)):
+        left = [line for line in read_lines(args.file) if ambiguous(line)]
+        if not left:
+            parser.error(f"{args.file} holds no set that was left ambiguous.")
+        for line in left:
             print(described(line, rivals(line, args.physics or line["physics"])), flush=True)
         return
     names = [[name for name in text.split(",") if name] for text in (args.kinds, args.sizes, args.effects)]

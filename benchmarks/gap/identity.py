@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from benchmarks.gap.sets import NUISANCE, SyntheticSet, Task, film, make_plan, make_set
-from benchmarks.gap.table import SHOTS, families
+from benchmarks.gap.table import SHOTS, families, named_alone
 from imr_torch.campaign import DesignPolicy, Random, Situation
 from imr_torch.design import DesignSpace, Plan
 from imr_torch.errors import ConvergenceError
@@ -42,7 +42,11 @@ def compare_designs(task: Task, simulator: Simulator) -> dict[str, Any]:
     arms: dict[str, DesignPolicy] = {"chosen": TellCausesApart(learner), "random": Random()}
     first = _diagnosed(learner, data.experiments, task, simulator)
     line: dict[str, Any] = {"truth": list(data.truth), "values": data.values, "signal": data.signal}
-    line |= {"ambiguous": first.found and not _alone(first), "verdict_first": first.verdict, "cause_first": list(first.cause)}
+    line |= {
+        "ambiguous": first.found and not named_alone(first.verdict, first.cause),
+        "verdict_first": first.verdict,
+        "cause_first": list(first.cause),
+    }
     if not line["ambiguous"]:
         return line
     found = {name: _arm(policy, data, learner, task, simulator) for name, policy in arms.items()}
@@ -63,7 +67,7 @@ def _arm(policy: DesignPolicy, data: SyntheticSet, learner: CauseLearner, task: 
         shots.append(design.tolist())
         experiments.append(_shoot(data, design, task, source, f"shot {shot}"))
         report = _diagnosed(learner, experiments, task, simulator)
-        if _alone(report):
+        if named_alone(report.verdict, report.cause):
             named = shot
             break
     return {
@@ -76,11 +80,6 @@ def _arm(policy: DesignPolicy, data: SyntheticSet, learner: CauseLearner, task: 
 
 def _diagnosed(learner: CauseLearner, experiments: Any, task: Task, simulator: Simulator) -> GapReport:
     return learner.diagnose(_PRIOR, ExperimentBatch(tuple(experiments)), simulator, task.seed)
-
-
-def _alone(report: GapReport) -> bool:
-    """Whether the verdict names one cause, or forms of one thing."""
-    return report.verdict in ("effect", "class") and len(families(report.cause)) == 1
 
 
 def _probability(report: GapReport, truth: str) -> float:

@@ -13,7 +13,7 @@ import torch
 
 from benchmarks.gap.sets import GEL, Task, make_plan, make_set
 from benchmarks.gap.signals import beside_rival
-from benchmarks.gap.table import families
+from benchmarks.gap.table import named_alone
 from imr_torch.design import DesignSpace
 from imr_torch.material import LIBRARY
 
@@ -25,8 +25,7 @@ def ambiguous(line: Mapping[str, Any]) -> bool:
     """Whether the diagnosis of one known effect found a gap and did not name one cause alone."""
     if line["kind"] == "next":
         return bool(line["ambiguous"])
-    named = line["verdict"] in ("effect", "class") and len(families(line["cause"])) == 1
-    return line["kind"] == "effect" and line["gap"] and not named
+    return line["kind"] == "effect" and line["gap"] and not named_alone(line["verdict"], line["cause"])
 
 
 def rivals(line: Mapping[str, Any], physics: str, effects: tuple[str, ...] = ()) -> dict[str, tuple[float, float]]:

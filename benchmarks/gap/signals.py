@@ -20,7 +20,7 @@ from imr_torch.simulate import Simulator
 
 Vector = NDArray[np.float64]
 
-_NUDGE = 1e-4  # relative step of G and mu, and step of nuisances in prior sd, for their slopes
+_NUDGE = 1e-4  # relative step of G and mu, and step of all others in prior sd, for their slopes
 _FARTHEST = 3.0  # move of the log of G and mu, which the first frames alone do not hold
 _UNLIKELY = 6.0  # prior standard deviations that the parameters of a rival may reach
 _EVALUATIONS = 60
@@ -107,8 +107,8 @@ def _refit(
     def place(x: Tensor) -> tuple[Tensor, Tensor]:
         moved = torch.tensor(list(gel.values()), dtype=torch.float64) * x[:, : len(gel)].exp()
         beside = [prior.to_physical(x[:, len(gel) + i]) for i, prior in enumerate(priors.values())]
-        values = torch.cat((moved, *(column[:, None] for column in beside)), 1)
-        rows = torch.stack([PARAMETERS.pack(dict(zip((*gel, *priors), row, strict=True))) for row in values.tolist()])
+        physical = torch.cat((moved, *(column[:, None] for column in beside)), 1)
+        rows = torch.stack([PARAMETERS.pack(dict(zip((*gel, *priors), row, strict=True))) for row in physical.tolist()])
         shifts = x.new_zeros(len(x), experiments, 3)
         shifts[..., uncertain] = x[:, own:].unflatten(1, (experiments, len(uncertain)))
         return rows, shifts * plan.nuisance_sds

@@ -106,6 +106,11 @@ def families(names: Iterable[str]) -> frozenset[str]:
     return frozenset(LIBRARY[name].family if name in LIBRARY else name for name in names)
 
 
+def named_alone(verdict: str, cause: Iterable[str]) -> bool:
+    """Whether a verdict names one cause, or forms of one thing."""
+    return verdict in ("effect", "class") and len(families(cause)) == 1
+
+
 def _classes(entry: str) -> frozenset[str]:
     return families(entry.split("+"))
 

@@ -29,7 +29,7 @@ EXPLAINS = 3.0
 """Nats that an effect must explain to count as more than nothing."""
 
 _MANY = 6  # starts where fewer disagree
-_BESIDE_IT = 3  # the same beside a fit
+_AGAIN = 3  # starts beside a fit whose own disagree
 _ROUGHLY = 0.03  # gradient at which a fit by coarse bubbles ends
 _TOO_COARSE = 200.0  # nats of error of the cost beyond which coarse bubbles lead nowhere
 
@@ -231,7 +231,7 @@ def finish(
     if ended.certificate.converged or ended.certificate.gradient >= options.gradient:
         return ended
     source = generator(child(seed, "beside"))
-    starts = torch.stack([ended.mean + around(ended.chol, source, BESIDE) for _ in range(_BESIDE_IT)])
+    starts = torch.stack([ended.mean + around(ended.chol, source, BESIDE) for _ in range(_AGAIN)])
     again = search(near.prior, batch, simulator, seed=child(seed, "again"), starts=[starts], nuisances=[ended.nuisances])
     return _lower(ended, again.fits[0], options)
 

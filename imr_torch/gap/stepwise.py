@@ -33,6 +33,9 @@ _FIT = SearchOptions(starts=2, iterations=12, drop_behind=6.0, basin_rounds=0, p
 _FINISH = SearchOptions(starts=2, iterations=15, basin_rounds=0)
 _CLEAR = 10.0  # standard deviations from zero at which an effect is kept: some 50 nats
 
+_Fitted = tuple[tuple[Effect, ...], ModelFit]
+"""Effects, and the fit with them freed."""
+
 
 @dataclass(frozen=True)
 class Left:
@@ -278,7 +281,7 @@ class _Here:
 
 def _next_step(
     inquiry: Inquiry, here: _Here, fits: dict[frozenset[str], ModelFit], seen: set[frozenset[str]], *, seed: int
-) -> tuple[tuple[tuple[Effect, ...], ModelFit] | None, list[str]]:
+) -> tuple[_Fitted | None, list[str]]:
     """The effects of the next step and their fit, which has converged; None if nothing is gained. Then what did not converge.
 
     The minimum is sought once, after superfluous effects are gone.
@@ -299,9 +302,7 @@ def _next_step(
     return None, failed
 
 
-def _additions(
-    inquiry: Inquiry, here: _Here, fits: dict[frozenset[str], ModelFit], *, seed: int
-) -> list[tuple[tuple[Effect, ...], ModelFit]]:
+def _additions(inquiry: Inquiry, here: _Here, fits: dict[frozenset[str], ModelFit], *, seed: int) -> list[_Fitted]:
     """The effects with one more and their fits, not finished, that of largest evidence first; none if none can be fitted."""
     chosen, fit, left = here.chosen, here.fit, here.left
     have = frozenset(effect.name for effect in chosen)
@@ -317,9 +318,7 @@ def _additions(
     return sorted(known, key=lambda addition: -laplace_evidence(addition[1]))
 
 
-def _without_superfluous(
-    inquiry: Inquiry, chosen: tuple[Effect, ...], fit: ModelFit, *, seed: int
-) -> tuple[tuple[Effect, ...], ModelFit]:
+def _without_superfluous(inquiry: Inquiry, chosen: tuple[Effect, ...], fit: ModelFit, *, seed: int) -> _Fitted:
     """Effects less those without which the evidence is nearly as large, the least needed first; never the last one.
 
     An effect whose amplitude is many standard deviations from zero is kept without a fit.
