@@ -117,6 +117,7 @@ def diagnosed(file: Path, most: int, medium: str, *, other: bool) -> dict[str, A
         "curves": [e.label for e in fitted],
         "unseen": [e.label for e in unseen],
         "rest_assumed": rest is not None,
+        "effects": [effect.name for effect in effects],
         "noise": vars(noise),
         "verdict": report.verdict,
         "cause": list(report.cause),

@@ -49,6 +49,7 @@ def controls(record: Record) -> list[Control]:
         _certified,
         _scores,
         _halves,
+        _halves_as_good,
         _time,
     )
     return [check(record) for check in checks]
@@ -222,21 +223,47 @@ def _scores(record: Record) -> Control:
 
 def _halves(record: Record) -> Control:
     name, must = "the same gel, two halves of its curves", "same first effect, or no gap in both, in 70 % of the sets"
-    pairs = []
-    for key, task in record:
-        one, two = (record.get((key, own), {}) for own in ("diagnose", "other half"))
-        if task == "diagnose" and len(one.get("curves", ())) > 1 and len(two.get("curves", ())) > 1:
-            pairs.append((_first(one), _first(two)))
+    pairs = _pairs(record)
     if not pairs:
         return _open(name, must)
-    same, both = sum(a == b for a, b in pairs), [pair for pair in pairs if all(pair)]
-    value = f"{same} of {len(pairs)} sets; of {len(both)} with an effect in both, {sum(a == b for a, b in both)}"
-    return Control(name, must, value, same >= 0.7 * len(pairs))
+    found = [(_first(one), _first(two)) for one, two in pairs]
+    same, both = sum(a == b for a, b in found), [pair for pair in found if all(pair)]
+    value = f"{same} of {len(found)} sets; of {len(both)} with an effect in both, {sum(a == b for a, b in both)}"
+    return Control(name, must, value, same >= 0.7 * len(found))
+
+
+def _halves_as_good(record: Record) -> Control:
+    """The same with effects that would do as well; wide choices overlap by chance, so that is stated."""
+    name, must = "the same, effects that would do as well included", "one effect is in both halves' choice, or no gap in both"
+    pairs = _pairs(record)
+    if not pairs:
+        return _open(name, must)
+    choices = [(first_choice(one), first_choice(two), len(one["effects"])) for one, two in pairs]
+    agree = sum(bool(a & b) or not (a or b) for a, b, _ in choices)
+    gaps = [(a, b, count) for a, b, count in choices if a and b]
+    overlap = sum(bool(a & b) for a, b, _ in gaps)
+    chance = sum(1.0 - math.comb(count - len(a), len(b)) / math.comb(count, len(b)) for a, b, count in gaps)
+    sizes = [len(choice) for a, b, _ in gaps for choice in (a, b)]
+    value = f"{agree} of {len(choices)} sets; of {len(gaps)} with an effect in both, {overlap} (by chance {chance:.1f}); "
+    return Control(name, must, value + f"effects in a choice: median {median(sizes or [0]):.0f}", agree >= 0.7 * len(choices))
+
+
+def _pairs(record: Record) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Lines of both halves, where each has two curves or more."""
+    halves = ((record.get((key, own), {}) for own in ("diagnose", "other half")) for key, task in record if task == "diagnose")
+    return [(one, two) for one, two in halves if min(len(row.get("curves", ())) for row in (one, two)) > 1]
 
 
 def _first(row: dict[str, Any]) -> str | None:
     """First effect of a stepwise selection; None without one."""
-    return row["ladder"][1]["effects"][0] if row["ladder"] and len(row["ladder"]) > 1 else None
+    ladder = row.get("ladder") or []
+    return ladder[1]["effects"][0] if len(ladder) > 1 else None
+
+
+def first_choice(row: dict[str, Any]) -> set[str]:
+    """The first effect of a stepwise selection and those that would do as well; empty without one."""
+    first = _first(row)
+    return {first, *row["ladder"][1]["alternatives"]} if first else set()
 
 
 def _time(record: Record) -> Control:

@@ -9,7 +9,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from real_gels_controls import Record, best_step, controls, model
+from real_gels_controls import Record, best_step, controls, first_choice, model
 
 
 def write_page(rows: list[dict[str, Any]], curves: dict[str, list[dict[str, Any]]], path: Path) -> None:
@@ -115,6 +115,8 @@ def _said(row: dict[str, Any] | None, other: dict[str, Any] | None) -> list[str]
     lines = [f"Medium stated: {row['stated']}. {row['reason']}"]
     if row.get("sentence"):
         lines.append(row["sentence"])
+    choices = {"First effect": first_choice(row), "First effect of the other half": first_choice(other or {})}
+    lines += [f"{whose}, any of: {', '.join(sorted(names))}." for whose, names in choices.items() if len(names) > 1]
     if other and other.get("sentence"):
         lines.append(f"Other half: {other['sentence']}")
     return lines

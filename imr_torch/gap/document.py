@@ -148,6 +148,7 @@ def _step(step: SelectionStep) -> dict[str, Any]:
     """A step of the selection: its effects, what is left and where, what is closed on held-out designs, and the parameters."""
     return {
         "effects": list(step.effects),
+        "alternatives": list(step.alternatives),
         "misfit": step.misfit,
         "noise": step.noise,
         "left": [vars(part) for part in step.left],

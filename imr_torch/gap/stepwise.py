@@ -4,7 +4,8 @@ The verdict names a cause only if nothing is left unexplained. Measured curves n
 still asks which effects close how much of it, and what remains. Each step adds the effect of largest evidence beside those
 chosen, and drops those that it makes superfluous. In the first two steps the fits of the attribution serve; later ones fit the
 effects that a score test at the step before ranks first. A fit that does not converge is no step: the next best addition is
-tried. A step is a description of the data, not a cause.
+tried. A step is a description of the data, not a cause, and other curves of the same gel may prefer another one: each step
+names the effects that would do as well in place of its last one.
 """
 
 import math
@@ -35,6 +36,9 @@ _CLEAR = 10.0  # standard deviations from zero at which an effect is kept: some 
 
 _Fitted = tuple[tuple[Effect, ...], ModelFit]
 """Effects, and the fit with them freed."""
+
+_Step = tuple[tuple[Effect, ...], ModelFit, list[_Fitted]]
+"""Likewise, and the other additions that were fitted, that of largest evidence first."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,8 @@ class SelectionStep:
             could be held out.
         log_score: held-out log predictive density over the base model, nats, and its standard error; None likewise.
         trained: whether the fits of the held-out designs have converged.
+        alternatives: effects that would do as well in place of the last one, best first: their log evidence is within
+            ``EXPLAINS`` once what this step leaves counts as noise (:func:`overdispersion`).
 
     >>> from imr_torch.gap.stepwise import Left
     >>> Left("first rebound", misfit=0.008, noise=0.003, share=0.7, frames=40).phase  # what a step leaves there
@@ -84,6 +90,7 @@ class SelectionStep:
     closed: tuple[float, float, float] | None = None
     log_score: tuple[float, float] | None = None
     trained: bool = True
+    alternatives: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -212,7 +219,7 @@ def select_stepwise(
         unsettled += failed
         if found is None:
             break
-        chosen, fit = found
+        chosen, fit, others = found
         names = tuple(effect.name for effect in chosen)
         seen.add(frozenset(names))
         name = Hypothesis(inquiry.base, chosen).name
@@ -220,7 +227,8 @@ def select_stepwise(
         left = left or adequacy_test(fit, inquiry.effects, batch, inquiry.simulator, seed=child(own, "adequacy"))
         here = _Here(chosen, fit, left)
         gained = laplace_evidence(fit) - laplace_evidence(before)
-        steps.append(SelectionStep(names, fit, gained, left.test, left_over(fit, batch)))
+        step = SelectionStep(names, fit, gained, left.test, left_over(fit, batch))
+        steps.append(replace(step, alternatives=_as_good(others, fit, batch)))
         if progress:
             progress(f"stepwise selection: {steps[-1].name}, misfit {steps[-1].misfit:.4f}")
     return StepwiseSelection(tuple(steps), unsettled=tuple(unsettled))
@@ -264,6 +272,24 @@ def left_over(fit: ModelFit, batch: ExperimentBatch) -> tuple[Left, ...]:
     return tuple(Left(phase, math.sqrt(excess / count), sd, excess / total, count) for phase, excess, sd, count in sums)
 
 
+def overdispersion(fit: ModelFit, batch: ExperimentBatch) -> float:
+    """Chi squared per degree of freedom of a fit to the mean curves, at least 1.
+
+    Differences of log likelihood are divided by it where a misfit that no model explains counts as noise (quasi-likelihood:
+    McCullagh and Nelder 1989, section 9.2; Burnham and Anderson 2002, section 2.5).
+    """
+    residual = torch.where(batch.mask, batch.mean - fit.prediction, 0.0)
+    square = batch.whiten(residual, batch.sd(fit.prediction)).square().sum()
+    fitted = len(fit.mean) + fit.nuisances.numel()
+    return max(1.0, float(square) / max(1, int(batch.mask.sum()) - fitted))
+
+
+def _as_good(others: Sequence[_Fitted], fit: ModelFit, batch: ExperimentBatch) -> tuple[str, ...]:
+    """Last effects of these additions whose evidence is within reach of a step's fit, best first."""
+    within = laplace_evidence(fit) - EXPLAINS * overdispersion(fit, batch)
+    return tuple(effects[-1].name for effects, other in others if laplace_evidence(other) >= within)
+
+
 def _over_frames(values: Sequence[float], parts: Sequence[Left]) -> float:
     """Root mean square over the frames of all phases."""
     frames = sum(part.frames for part in parts)
@@ -281,13 +307,13 @@ class _Here:
 
 def _next_step(
     inquiry: Inquiry, here: _Here, fits: dict[frozenset[str], ModelFit], seen: set[frozenset[str]], *, seed: int
-) -> tuple[_Fitted | None, list[str]]:
-    """The effects of the next step and their fit, which has converged; None if nothing is gained. Then what did not converge.
+) -> tuple[_Step | None, list[str]]:
+    """The next step, whose fit has converged; None if nothing is gained. Then what did not converge.
 
     The minimum is sought once, after superfluous effects are gone.
     """
-    had, failed = laplace_evidence(here.fit), list[str]()
-    for added in _additions(inquiry, here, fits, seed=seed)[:_TRIED]:
+    had, failed, additions = laplace_evidence(here.fit), list[str](), _additions(inquiry, here, fits, seed=seed)
+    for added in additions[:_TRIED]:
         if laplace_evidence(added[1]) + _promised(added[1]) < had + EXPLAINS:
             break
         chosen, rough = _without_superfluous(inquiry, *added, seed=seed)
@@ -298,7 +324,8 @@ def _next_step(
             failed.append(Hypothesis(inquiry.base, chosen).name)
             continue
         needed = EXPLAINS if len(chosen) > len(here.chosen) else 0.0
-        return ((chosen, fit) if laplace_evidence(fit) >= had + needed else None), failed
+        others = [other for other in additions if other is not added]
+        return ((chosen, fit, others) if laplace_evidence(fit) >= had + needed else None), failed
     return None, failed
 
 
