@@ -31,6 +31,7 @@ EXPLAINS = 3.0
 _MANY = 6  # starts where fewer disagree
 _AGAIN = 3  # starts beside a fit whose own disagree
 _ROUGHLY = 0.03  # gradient at which a fit by coarse bubbles ends
+_FAR = 3.0  # chi squared per degree of freedom of a fit whose collapses may lie on the wrong side of a frame
 _TOO_COARSE = 200.0  # nats of error of the cost beyond which coarse bubbles lead nowhere
 
 
@@ -127,6 +128,9 @@ def fit_hypotheses(
 ) -> dict[str, ModelFit]:
     """Fit hypotheses from the null fit, in one batch.
 
+    Where the gap is large, the null fit's collapses lie on the wrong side of frames, each a local minimum. Searches then begin
+    without the frames next to collapses (:mod:`imr_torch.assimilate.masking`).
+
     Args:
         hypotheses: what to fit.
         null: the fit without each one's last effect.
@@ -148,7 +152,7 @@ def fit_hypotheses(
         batch,
         simulator,
         seed=seed,
-        options=options or SearchOptions(),
+        options=replace(options or SearchOptions(), mask_collapses=overdispersion(null, batch) > _FAR),
         starts=rows,
         nuisances=[null.nuisances] * len(rows),
         progress=progress,
@@ -245,3 +249,15 @@ def laplace_evidence(fit: ModelFit) -> float:
     """``log p(y)`` in the Gaussian approximation, nats; priors are standard normal in the controls, so constants cancel."""
     nuisances = fit.nuisance_chol.diagonal(dim1=-2, dim2=-1).log().sum()
     return float(-fit.cost + fit.chol.diagonal().log().sum() - nuisances)
+
+
+def overdispersion(fit: ModelFit, batch: ExperimentBatch) -> float:
+    """Chi squared per degree of freedom of a fit to the mean curves, at least 1.
+
+    Differences of log likelihood are divided by it where a misfit that no model explains counts as noise (quasi-likelihood:
+    McCullagh and Nelder 1989, section 9.2; Burnham and Anderson 2002, section 2.5).
+    """
+    residual = torch.where(batch.mask, batch.mean - fit.prediction, 0.0)
+    square = batch.whiten(residual, batch.sd(fit.prediction)).square().sum()
+    fitted = len(fit.mean) + fit.nuisances.numel()
+    return max(1.0, float(square) / max(1, int(batch.mask.sum()) - fitted))

@@ -18,7 +18,7 @@ from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.assimilate.fit import PROMISED
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Inquiry, near_values
-from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, finish, fit_hypotheses, laplace_evidence
+from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, finish, fit_hypotheses, laplace_evidence, overdispersion
 from imr_torch.gap.prediction import GEL_SCATTER, HeldOut
 from imr_torch.gap.shrinkage import compare, reductions
 from imr_torch.goodness.phases import PHASES, noise_shares, phase_numbers
@@ -75,7 +75,7 @@ class SelectionStep:
         log_score: held-out log predictive density over the base model, nats, and its standard error; None likewise.
         trained: whether the fits of the held-out designs have converged.
         alternatives: effects that would do as well in place of the last one, best first: their log evidence is within
-            ``EXPLAINS`` once what this step leaves counts as noise (:func:`overdispersion`).
+            ``EXPLAINS`` once what this step leaves counts as noise (:func:`imr_torch.gap.hypotheses.overdispersion`).
 
     >>> from imr_torch.gap.stepwise import Left
     >>> Left("first rebound", misfit=0.008, noise=0.003, share=0.7, frames=40).phase  # what a step leaves there
@@ -270,18 +270,6 @@ def left_over(fit: ModelFit, batch: ExperimentBatch) -> tuple[Left, ...]:
             sums.append((phase, excess, float(noise[inside].mean().sqrt()), count))
     total = max(sum(excess for _, excess, _, _ in sums), 1e-300)
     return tuple(Left(phase, math.sqrt(excess / count), sd, excess / total, count) for phase, excess, sd, count in sums)
-
-
-def overdispersion(fit: ModelFit, batch: ExperimentBatch) -> float:
-    """Chi squared per degree of freedom of a fit to the mean curves, at least 1.
-
-    Differences of log likelihood are divided by it where a misfit that no model explains counts as noise (quasi-likelihood:
-    McCullagh and Nelder 1989, section 9.2; Burnham and Anderson 2002, section 2.5).
-    """
-    residual = torch.where(batch.mask, batch.mean - fit.prediction, 0.0)
-    square = batch.whiten(residual, batch.sd(fit.prediction)).square().sum()
-    fitted = len(fit.mean) + fit.nuisances.numel()
-    return max(1.0, float(square) / max(1, int(batch.mask.sum()) - fitted))
 
 
 def _as_good(others: Sequence[_Fitted], fit: ModelFit, batch: ExperimentBatch) -> tuple[str, ...]:

@@ -4,12 +4,12 @@ import torch
 
 from imr_torch.assimilate import Posterior, SearchOptions
 from imr_torch.gap import hypotheses
-from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses
+from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
 from imr_torch.random import generator
 from imr_torch.simulate import TransportSimulator
-from tests.gap.synthetic import BASE, GEL, fit
+from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, fit, shoot
 
 FULL = TransportSimulator(threads=1)
 EFFECTS = tuple(Hypothesis(BASE, (LIBRARY[name],)) for name in ("gas_loss", "surface_tension"))
@@ -55,3 +55,11 @@ def test_that_effects_far_behind_a_fit_that_is_known_are_given_up() -> None:
     assert len(lines) == 1
     assert len(found) == 2
     assert not any(own.certificate.converged for own in found.values())
+
+
+def test_that_a_collapse_on_the_wrong_side_of_a_frame_ends_no_search() -> None:
+    batch, hypothesis = shoot({"rinf_bias": -0.08}, DESIGNS), Hypothesis(BASE, (LIBRARY["rinf_bias"],))
+    null = fit_null(BASE, batch, SIMULATOR, seed=0)
+    options = SearchOptions(starts=2, basin_rounds=0, polish=False)
+    found = fit_hypotheses([hypothesis], null, batch, SIMULATOR, seed=0, options=options)["rinf_bias"]
+    assert found.cost < fit(batch, hypothesis, rinf_bias=-0.08).cost + 0.1  # 33 nats above with every frame from the start

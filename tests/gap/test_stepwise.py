@@ -8,7 +8,7 @@ import torch
 from imr_torch.gap import Parts, StepwiseSelection, describe, diagnose, examine, library, stepwise, to_json
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.attribute import Inquiry
-from imr_torch.gap.hypotheses import Hypothesis
+from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence, overdispersion
 from imr_torch.gap.stepwise import left_over, select_stepwise
 from imr_torch.material import LIBRARY
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
@@ -116,6 +116,36 @@ def test_that_a_fit_which_does_not_converge_is_no_step_and_that_the_next_best_ad
     said = describe(report, replace(parts, selection=selection))
     assert f"{first} was no step, since its fit did not converge." in said
     assert to_json(report, replace(parts, selection=selection))["ladder_unsettled"] == [[first]]
+
+
+def test_that_effects_which_would_do_as_well_are_named_and_no_others() -> None:
+    batch = shoot({"rinf_bias": -0.08}, DESIGNS, repeats=1)
+    effects = library(("rinf_bias", "excess_gas", "refraction", "sound_speed"))
+    report = diagnose(list(batch.experiments), effects=effects, simulator=SIMULATOR)
+    parts = examine(report, SIMULATOR)
+    base, only = parts.selection.steps
+    assert base.alternatives == ()
+    assert {*only.effects, *only.alternatives} == {"rinf_bias", "excess_gas"}
+    (other,) = only.alternatives
+    assert f"In place of {only.effects[0]} would do as well: {other}." in describe(report, parts)
+    assert [step["alternatives"] for step in to_json(report, parts)["ladder"]] == [[], [other]]
+
+
+@pytest.mark.parametrize(("behind", "named"), [(0.9, True), (1.1, False)])
+def test_that_what_is_left_counts_as_noise_when_alternatives_are_sought(selected, monkeypatch, behind, named) -> None:
+    monkeypatch.setattr(stepwise, "_CANDIDATES", 1)  # the attribution's fits serve, though it had few
+    report, parts = selected
+    first, last = parts.selection.steps[1:]
+    assert overdispersion(last.fit, report.batch) == pytest.approx(1.0, abs=0.1)
+    left = overdispersion(first.fit, report.batch)
+    assert left > 2.0  # the second effect is missing
+    other = report.fits["gas_loss"]
+    ahead = laplace_evidence(first.fit) - laplace_evidence(other)
+    moved = replace(other, cost=other.cost - ahead + 3.0 * left * behind)
+    inquiry = Inquiry(BASE, tuple(LIBRARY[name] for name in report.directions), report.batch, SIMULATOR)
+    selection = select_stepwise(inquiry, report.null, report.gap, report.fits | {"gas_loss": moved}, most=1, seed=0)
+    assert selection.steps[1].effects == first.effects
+    assert ("gas_loss" in selection.steps[1].alternatives) == named
 
 
 def test_that_what_is_left_of_a_perfect_fit_is_within_its_noise() -> None:
