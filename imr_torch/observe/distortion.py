@@ -92,6 +92,7 @@ register_effect(
 )
 
 _GEOMETRY = ("missed_maximum", "trigger_offset", "rinf_bias")  # in the order of the nuisances of one experiment
+_INSTANT = 1e-6  # exposure, in units of t*, that no frame can tell from none, and whose nodes may be one number
 _NODES, _WEIGHTS = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(8))
 
 
@@ -176,7 +177,8 @@ class Distortion:
 
     def _averaged(self, times: Tensor, simulate: Callable[[Tensor], Tensor]) -> Tensor:
         """Mean over an exposure centred on each frame, by Gauss-Legendre; one call for the frames and all nodes."""
-        blur = torch.where(self.blur == 0.0, 1e-3, self.blur)[..., None, None]  # neutral members only need distinct times
+        instant = self.blur < _INSTANT
+        blur = torch.where(instant, 1e-3, self.blur)[..., None, None]  # these members only need distinct times
         nodes = times[..., None] + 0.5 * blur * _NODES.to(times)
         every = torch.cat((times[..., None], nodes), -1).flatten(-2)
         rising, order = every.sort(-1)
@@ -184,4 +186,4 @@ class Distortion:
         radius = simulate(rising)
         radius = radius.gather(-1, place.expand(radius.shape)).unflatten(-1, (-1, 1 + len(_NODES)))
         mean = 0.5 * (radius[..., 1:] * _WEIGHTS.to(times)).sum(-1)
-        return torch.where(self.blur[..., None] == 0.0, radius[..., 0], mean)
+        return torch.where(instant[..., None], radius[..., 0], mean)

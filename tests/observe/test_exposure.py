@@ -43,6 +43,14 @@ def test_that_a_known_exposure_averages_as_the_effect_of_that_value_does():
     assert float((known - sharp).abs().max()) > 0.02
 
 
+def test_that_an_exposure_too_short_to_tell_from_none_is_none():
+    """A search may go far into the tail of the prior, where the nodes of an average are one number."""
+    tiny = predict(SIMULATOR, PARAMETERS.pack(GEL | {"exposure_blur": 1e-17}), film(0.0))
+    assert torch.equal(tiny, predict(SIMULATOR, PARAMETERS.pack(GEL), film(0.0)))
+    short = predict(SIMULATOR, PARAMETERS.pack(GEL | {"exposure_blur": 1e-5}), film(0.0))
+    torch.testing.assert_close(short, tiny, rtol=0.0, atol=1e-5)
+
+
 def test_that_each_experiment_has_its_own_exposure():
     first, second = film(0.02).experiments[0], film(0.06).experiments[0]
     both = predict(SIMULATOR, PARAMETERS.pack(GEL), ExperimentBatch((first, second)))
