@@ -49,7 +49,7 @@ def controls(record: Record) -> list[Control]:
         _certified,
         _scores,
         _halves,
-        _halves_as_good,
+        _halves_choices,
         _time,
     )
     return [check(record) for check in checks]
@@ -232,9 +232,12 @@ def _halves(record: Record) -> Control:
     return Control(name, must, value, same >= 0.7 * len(found))
 
 
-def _halves_as_good(record: Record) -> Control:
-    """The same with effects that would do as well; wide choices overlap by chance, so that is stated."""
-    name, must = "the same, effects that would do as well included", "one effect is in both halves' choice, or no gap in both"
+def _halves_choices(record: Record) -> Control:
+    """The same with effects that are not clearly worse; wide choices overlap by chance, so that is stated."""
+    name, must = (
+        "the same, effects that are not clearly worse included",
+        "one effect is in both halves' choice, or no gap in both",
+    )
     pairs = _pairs(record)
     if not pairs:
         return _open(name, must)
@@ -261,7 +264,7 @@ def _first(row: dict[str, Any]) -> str | None:
 
 
 def first_choice(row: dict[str, Any]) -> set[str]:
-    """The first effect of a stepwise selection and those that would do as well; empty without one."""
+    """The first effect of a stepwise selection and those that are not clearly worse; empty without one."""
     first = _first(row)
     return {first, *row["ladder"][1]["alternatives"]} if first else set()
 

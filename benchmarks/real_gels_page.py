@@ -116,7 +116,9 @@ def _said(row: dict[str, Any] | None, other: dict[str, Any] | None) -> list[str]
     if row.get("sentence"):
         lines.append(row["sentence"])
     choices = {"First effect": first_choice(row), "First effect of the other half": first_choice(other or {})}
-    lines += [f"{whose}, any of: {', '.join(sorted(names))}." for whose, names in choices.items() if len(names) > 1]
+    lines += [
+        f"{whose}, not clearly told apart: {', '.join(sorted(names))}." for whose, names in choices.items() if len(names) > 1
+    ]
     if other and other.get("sentence"):
         lines.append(f"Other half: {other['sentence']}")
     return lines

@@ -252,11 +252,7 @@ def laplace_evidence(fit: ModelFit) -> float:
 
 
 def overdispersion(fit: ModelFit, batch: ExperimentBatch) -> float:
-    """Chi squared per degree of freedom of a fit to the mean curves, at least 1.
-
-    Differences of log likelihood are divided by it where a misfit that no model explains counts as noise (quasi-likelihood:
-    McCullagh and Nelder 1989, section 9.2; Burnham and Anderson 2002, section 2.5).
-    """
+    """Chi squared per degree of freedom of a fit to the mean curves, at least 1."""
     residual = torch.where(batch.mask, batch.mean - fit.prediction, 0.0)
     square = batch.whiten(residual, batch.sd(fit.prediction)).square().sum()
     fitted = len(fit.mean) + fit.nuisances.numel()

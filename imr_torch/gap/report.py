@@ -354,7 +354,7 @@ def _selection(parts: Parts) -> tuple[str, ...]:
             line += f", predicts held-out curves {step.log_score[0]:+.1f} +- {step.log_score[1]:.1f} nats better"
         lines.append(f"{line}; adequacy {p_value(step.test.p_value)}{'' if step.converged else '; a fit has not converged'}.")
         if step.alternatives:
-            lines.append(f"In place of {step.effects[-1]} would do as well: {', '.join(step.alternatives)}.")
+            lines.append(f"Not clearly worse in place of {step.effects[-1]}: {', '.join(step.alternatives)}.")
     lines += [f"{' and '.join(name.split('+'))} was no step, since its fit did not converge." for name in selection.unsettled]
     return tuple(lines)
 

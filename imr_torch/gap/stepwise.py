@@ -5,7 +5,7 @@ still asks which effects close how much of it, and what remains. Each step adds 
 chosen, and drops those that it makes superfluous. In the first two steps the fits of the attribution serve; later ones fit the
 effects that a score test at the step before ranks first. A fit that does not converge is no step: the next best addition is
 tried. A step is a description of the data, not a cause, and other curves of the same gel may prefer another one: each step
-names the effects that would do as well in place of its last one.
+names the effects that are not clearly worse in place of its last one.
 """
 
 import math
@@ -18,7 +18,7 @@ from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.assimilate.fit import PROMISED
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Inquiry, near_values
-from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, finish, fit_hypotheses, laplace_evidence, overdispersion
+from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, finish, fit_hypotheses, laplace_evidence
 from imr_torch.gap.prediction import GEL_SCATTER, HeldOut
 from imr_torch.gap.shrinkage import compare, reductions
 from imr_torch.goodness.phases import PHASES, noise_shares, phase_numbers
@@ -32,6 +32,7 @@ _CANDIDATES = 6  # effects that are fitted in a later step
 _TRIED = 2  # of these, additions that are taken to their minimum until one converges
 _FIT = SearchOptions(starts=2, iterations=12, drop_behind=6.0, basin_rounds=0, polish=False)
 _FINISH = SearchOptions(starts=2, iterations=15, basin_rounds=0)
+_SURE = 1.645  # standard errors by which one of two models is better in 95 %
 _CLEAR = 10.0  # standard deviations from zero at which an effect is kept: some 50 nats
 
 _Fitted = tuple[tuple[Effect, ...], ModelFit]
@@ -74,8 +75,8 @@ class SelectionStep:
             could be held out.
         log_score: held-out log predictive density over the base model, nats, and its standard error; None likewise.
         trained: whether the fits of the held-out designs have converged.
-        alternatives: effects that would do as well in place of the last one, best first: their log evidence is within
-            ``EXPLAINS`` once what this step leaves counts as noise (:func:`imr_torch.gap.hypotheses.overdispersion`).
+        alternatives: effects that are not clearly worse in place of the last one, best first: each gains enough, and its log
+            evidence is behind by no more than ``EXPLAINS`` and what the misfit that is left may make by chance (95 %).
 
     >>> from imr_torch.gap.stepwise import Left
     >>> Left("first rebound", misfit=0.008, noise=0.003, share=0.7, frames=40).phase  # what a step leaves there
@@ -228,7 +229,7 @@ def select_stepwise(
         here = _Here(chosen, fit, left)
         gained = laplace_evidence(fit) - laplace_evidence(before)
         step = SelectionStep(names, fit, gained, left.test, left_over(fit, batch))
-        steps.append(replace(step, alternatives=_as_good(others, fit, batch)))
+        steps.append(replace(step, alternatives=_not_clearly_worse(others, fit, laplace_evidence(before), batch)))
         if progress:
             progress(f"stepwise selection: {steps[-1].name}, misfit {steps[-1].misfit:.4f}")
     return StepwiseSelection(tuple(steps), unsettled=tuple(unsettled))
@@ -272,10 +273,31 @@ def left_over(fit: ModelFit, batch: ExperimentBatch) -> tuple[Left, ...]:
     return tuple(Left(phase, math.sqrt(excess / count), sd, excess / total, count) for phase, excess, sd, count in sums)
 
 
-def _as_good(others: Sequence[_Fitted], fit: ModelFit, batch: ExperimentBatch) -> tuple[str, ...]:
-    """Last effects of these additions whose evidence is within reach of a step's fit, best first."""
-    within = laplace_evidence(fit) - EXPLAINS * overdispersion(fit, batch)
-    return tuple(effects[-1].name for effects, other in others if laplace_evidence(other) >= within)
+def _not_clearly_worse(others: Sequence[_Fitted], fit: ModelFit, had: float, batch: ExperimentBatch) -> tuple[str, ...]:
+    """Last effects of these additions that gain enough beside evidence ``had`` and are not clearly behind a fit, best first."""
+    best, found = laplace_evidence(fit), list[str]()
+    for effects, other in others:
+        evidence = laplace_evidence(other)
+        if evidence >= max(had + EXPLAINS, best - EXPLAINS - _SURE * misfit_in_difference(fit, other, batch)):
+            found.append(effects[-1].name)
+    return tuple(found)
+
+
+def misfit_in_difference(fit: ModelFit, other: ModelFit, batch: ExperimentBatch) -> float:
+    """Standard error, nats, of the log likelihood of a fit over another's that is due to what the fit leaves beyond noise.
+
+    With residuals ``r`` of the fit and the difference ``d`` of the predictions, both whitened, the likelihoods differ by
+    ``d.d/2 - d.r``. The variance of ``d.r`` is that of its terms and their neighbours (Newey and West, Econometrica 55, 1987),
+    less the ``d.d`` of noise; so models are compared that may both be wrong (Vuong, Econometrica 57, 1989).
+    """
+    sd = batch.sd(fit.prediction)
+    apart, left = (torch.where(batch.mask, x - fit.prediction, 0.0) for x in (other.prediction, batch.mean))
+    apart, left = (batch.whiten(x, sd) for x in (apart, left))
+    terms, lags = apart * left, int(4.0 * (apart.shape[-1] / 100.0) ** (2.0 / 9.0))
+    variance = float(terms.square().sum() - apart.square().sum())
+    for lag in range(1, lags + 1):
+        variance += 2.0 * (1.0 - lag / (lags + 1)) * float((terms[:, lag:] * terms[:, :-lag]).sum())
+    return math.sqrt(max(variance, 0.0))
 
 
 def _over_frames(values: Sequence[float], parts: Sequence[Left]) -> float:

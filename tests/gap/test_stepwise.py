@@ -1,5 +1,6 @@
 """The stepwise selection of effects: it adds what explains, drops what is superfluous, stops at noise, and is judged on unseen designs."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -8,9 +9,10 @@ import torch
 from imr_torch.gap import Parts, StepwiseSelection, describe, diagnose, examine, library, stepwise, to_json
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.attribute import Inquiry
-from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence, overdispersion
-from imr_torch.gap.stepwise import left_over, select_stepwise
+from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence
+from imr_torch.gap.stepwise import left_over, misfit_in_difference, select_stepwise
 from imr_torch.material import LIBRARY
+from imr_torch.observe import ExperimentBatch
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
 
 TWO = {"sound_speed": 0.5, "rinf_bias": -0.08}
@@ -118,7 +120,7 @@ def test_that_a_fit_which_does_not_converge_is_no_step_and_that_the_next_best_ad
     assert to_json(report, replace(parts, selection=selection))["ladder_unsettled"] == [[first]]
 
 
-def test_that_effects_which_would_do_as_well_are_named_and_no_others() -> None:
+def test_that_effects_which_are_not_clearly_worse_are_named_and_no_others() -> None:
     batch = shoot({"rinf_bias": -0.08}, DESIGNS, repeats=1)
     effects = library(("rinf_bias", "excess_gas", "refraction", "sound_speed"))
     report = diagnose(list(batch.experiments), effects=effects, simulator=SIMULATOR)
@@ -127,25 +129,43 @@ def test_that_effects_which_would_do_as_well_are_named_and_no_others() -> None:
     assert base.alternatives == ()
     assert {*only.effects, *only.alternatives} == {"rinf_bias", "excess_gas"}
     (other,) = only.alternatives
-    assert f"In place of {only.effects[0]} would do as well: {other}." in describe(report, parts)
+    assert f"Not clearly worse in place of {only.effects[0]}: {other}." in describe(report, parts)
     assert [step["alternatives"] for step in to_json(report, parts)["ladder"]] == [[], [other]]
 
 
 @pytest.mark.parametrize(("behind", "named"), [(0.9, True), (1.1, False)])
-def test_that_what_is_left_counts_as_noise_when_alternatives_are_sought(selected, monkeypatch, behind, named) -> None:
+def test_that_the_misfit_that_is_left_counts_when_alternatives_are_sought(selected, monkeypatch, behind, named) -> None:
     monkeypatch.setattr(stepwise, "_CANDIDATES", 1)  # the attribution's fits serve, though it had few
     report, parts = selected
-    first, last = parts.selection.steps[1:]
-    assert overdispersion(last.fit, report.batch) == pytest.approx(1.0, abs=0.1)
-    left = overdispersion(first.fit, report.batch)
-    assert left > 2.0  # the second effect is missing
-    other = report.fits["gas_loss"]
+    first, other = parts.selection.steps[1], report.fits["gas_loss"]
+    error = misfit_in_difference(first.fit, other, report.batch)
+    assert error > 5.0  # the second effect is missing
     ahead = laplace_evidence(first.fit) - laplace_evidence(other)
-    moved = replace(other, cost=other.cost - ahead + 3.0 * left * behind)
+    moved = replace(other, cost=other.cost - ahead + (3.0 + 1.645 * error) * behind)
     inquiry = Inquiry(BASE, tuple(LIBRARY[name] for name in report.directions), report.batch, SIMULATOR)
     selection = select_stepwise(inquiry, report.null, report.gap, report.fits | {"gas_loss": moved}, most=1, seed=0)
     assert selection.steps[1].effects == first.effects
     assert ("gas_loss" in selection.steps[1].alternatives) == named
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0, 3.0])
+def test_that_the_error_of_an_evidence_difference_is_the_spread_that_misfits_make(selected, size) -> None:
+    """Misfits that two frames have in common, each drawn anew, of ``size`` standard deviations of the mean curves."""
+    report, parts = selected
+    one, other = parts.selection.steps[2].fit, report.fits["sound_speed"]
+    source = torch.Generator().manual_seed(0)
+    sd = report.batch.sd(one.prediction) / report.batch.counts.sqrt()
+    made, stated = [], []
+    for _ in range(300):
+        noise, drawn = (torch.randn(sd.shape[0], sd.shape[1] + 1, generator=source, dtype=torch.float64) for _ in range(2))
+        curves = one.prediction + sd * (noise[:, 1:] + size * (drawn[:, 1:] + drawn[:, :-1]) / math.sqrt(2.0))
+        rows = zip(report.batch.experiments, curves, strict=True)
+        batch = ExperimentBatch(tuple(replace(e, radius=c.expand_as(e.radius)) for e, c in rows), report.batch.noise)
+        apart = [((curves - fit.prediction) / sd).square().sum() / 2.0 for fit in (other, one)]
+        made.append(float(apart[0] - apart[1]))
+        stated.append(misfit_in_difference(one, other, batch))
+    whole, of_noise = float(torch.tensor(made).var()), float(((one.prediction - other.prediction) / sd).square().sum())
+    assert sum(x**2 for x in stated) / 300 == pytest.approx(whole - of_noise, abs=0.2 * whole)
 
 
 def test_that_what_is_left_of_a_perfect_fit_is_within_its_noise() -> None:
