@@ -128,8 +128,9 @@ def fit_hypotheses(
 ) -> dict[str, ModelFit]:
     """Fit hypotheses from the null fit, in one batch.
 
-    Where the gap is large, the null fit's collapses lie on the wrong side of frames, each a local minimum. Searches then begin
-    without the frames next to collapses (:mod:`imr_torch.assimilate.masking`).
+    Where the gap is large, the null fit's collapses lie on the wrong side of frames, each a local minimum. Hypotheses are then
+    also fitted by searches that begin without the frames next to collapses (:mod:`imr_torch.assimilate.masking`), and the lower
+    of the two fits counts.
 
     Args:
         hypotheses: what to fit.
@@ -146,17 +147,14 @@ def fit_hypotheses(
     """
     rows = [h.starts(null, (starts or {}).get(h.effects[-1].name)) for h in hypotheses]
     beliefs = tuple(h.belief for h in hypotheses)
-    belief = Belief(beliefs, torch.zeros(len(beliefs), dtype=torch.float64))
-    found = _descend(
-        belief,
-        batch,
-        simulator,
-        seed=seed,
-        options=replace(options or SearchOptions(), mask_collapses=overdispersion(null, batch) > _FAR),
-        starts=rows,
-        nuisances=[null.nuisances] * len(rows),
-        progress=progress,
-    )
+    belief, options = Belief(beliefs, torch.zeros(len(beliefs), dtype=torch.float64)), options or SearchOptions()
+    nuisances = [null.nuisances] * len(rows)
+    search = partial(_descend, belief, batch, simulator, seed=seed, starts=rows, nuisances=nuisances, progress=progress)
+    found = search(options=options)
+    if overdispersion(null, batch) > _FAR:
+        lowest = min(options.known_cost, *(fit.cost for fit in found))
+        masked = search(options=replace(options, mask_collapses=True, rival=lowest))
+        found = [_lower(*pair, options) for pair in zip(found, masked, strict=True)]
     return {h.name: fit for h, fit in zip(hypotheses, found, strict=True)}
 
 
