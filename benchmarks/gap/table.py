@@ -380,6 +380,11 @@ def _active(lines: Sequence[Line]) -> list[Row]:
     ratio = sum(spent["chosen"]) / sum(spent["random"]) if lines else math.nan
     figure = f"shots until a cause is named alone, at most {SHOTS}, chosen over random"
     rows.append(Row(figure, ALL, ratio, len(lines), math.nan, math.nan, Range(high=0.6), Range(high=0.4)))
+    both = [line["named"] for line in lines if all(line["right"].values())]
+    random = sum(named["random"] for named in both) or math.nan
+    figure = "the same, of sets in which both name the truth"
+    rows.append(Row(figure, ALL, sum(named["chosen"] for named in both) / random, len(both), math.nan, math.nan))
+    rows.append(Row("the same, if every chosen one needed one shot", ALL, len(both) / random, len(both), math.nan, math.nan))
     mean, error = _mean([line["p_true"]["chosen"] - line["p_true"]["random"] for line in lines])
     figure = "P(true effect) after the last shot, chosen less random, mean"
     rows.append(Row(figure, ALL, mean, len(lines), mean - error, mean + error))
@@ -447,7 +452,7 @@ def table(lines: Sequence[Line]) -> str:
         head = f"Physics {physics}: {len(own)} sets, {failed} failed, thresholds {', '.join(hashes)}."
         if len(hashes) > 1:
             head += " THRESHOLDS OR LIBRARY CHANGED BETWEEN SETS: this is no frozen run."
-        unsound = sum(not line["converged"] for line in own)
+        unsound = sum(not line.get("converged", True) for line in own)  # shots alone rest on no one fit
         rows = [*shares(own), *amounts(own), *controls(own)]
         pages.append(
             "\n".join(

@@ -252,6 +252,16 @@ def test_the_figures_of_further_shots() -> None:
     assert value_of(rows, "the same, another named alone, chosen", "all").value == pytest.approx(1.0 / 3.0)
     ratio = value_of(rows, "shots until a cause is named alone, at most 3, chosen over random", "all")
     assert ratio.value == pytest.approx((1 + 2 + 3) / 9)
+    assert value_of(rows, "the same, of sets in which both name the truth", "all").value == pytest.approx(1.0 / 3.0)
+    two = amounts([line(2, True, 0.9), line(1, True, 0.9)])
+    assert value_of(two, "the same, of sets in which both name the truth", "all").value == pytest.approx(3.0 / 6.0)
+    assert value_of(two, "the same, if every chosen one needed one shot", "all").value == pytest.approx(2.0 / 6.0)
+
+
+def test_that_a_record_of_further_shots_alone_makes_a_table() -> None:
+    """Its lines hold no fit of their own, so nothing about one."""
+    about = {"physics": "transport", "frozen": "0", "gap": False, "verdict": "next", "cause": [], "truth": ["pulse"]}
+    assert "Without a certificate: 0." in table([about | {"kind": "next", "size": "3x10", "ambiguous": False}])
 
 
 @pytest.mark.parametrize("truths", ["reference", "modes"])
