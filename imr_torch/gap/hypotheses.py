@@ -104,9 +104,9 @@ def fit_null(
 
 
 def _lower(one: ModelFit, other: ModelFit, options: SearchOptions) -> ModelFit:
-    """The lower of two fits, certified also if the other search found that minimum too."""
-    low, high = sorted((one, other), key=lambda fit: fit.cost)
-    return _certified(low, min(low.certificate.agreement, high.cost - low.cost), options)
+    """The fit that is or may become the lower, certified also if the other search found that minimum too."""
+    low, high = sorted((one, other), key=lambda fit: fit.cost - promised(fit))
+    return _certified(low, min(low.certificate.agreement, abs(high.cost - low.cost)), options)
 
 
 def _certified(fit: ModelFit, agreement: float, options: SearchOptions) -> ModelFit:
@@ -130,7 +130,7 @@ def fit_hypotheses(
 
     Where the gap is large, the null fit's collapses lie on the wrong side of frames, each a local minimum. Hypotheses are then
     also fitted by searches that begin without the frames next to collapses (:mod:`imr_torch.assimilate.masking`), and the lower
-    of the two fits counts.
+    of the two fits counts, or one that has not converged and may get lower.
 
     Args:
         hypotheses: what to fit.
@@ -241,6 +241,11 @@ def finish(
 def as_assimilation(fit: ModelFit, batch: ExperimentBatch) -> Assimilation:
     """One fit as an assimilation, for functions that take one."""
     return Assimilation(Belief((fit.prior,), torch.zeros(1, dtype=torch.float64)), batch, (fit,))
+
+
+def promised(fit: ModelFit) -> float:
+    """Nats that a fit which has not converged may still gain, by its gradient."""
+    return 0.0 if fit.certificate.converged else PROMISED * fit.certificate.gradient**2
 
 
 def laplace_evidence(fit: ModelFit) -> float:

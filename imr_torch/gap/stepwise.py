@@ -15,10 +15,9 @@ from dataclasses import dataclass, replace
 import torch
 
 from imr_torch.assimilate import ModelFit, SearchOptions
-from imr_torch.assimilate.fit import PROMISED
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Inquiry, near_values
-from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, finish, fit_hypotheses, laplace_evidence
+from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, finish, fit_hypotheses, laplace_evidence, promised
 from imr_torch.gap.prediction import GEL_SCATTER, HeldOut
 from imr_torch.gap.shrinkage import compare, reductions
 from imr_torch.goodness.phases import PHASES, noise_shares, phase_numbers
@@ -324,7 +323,7 @@ def _next_step(
     """
     had, failed, additions = laplace_evidence(here.fit), list[str](), _additions(inquiry, here, fits, seed=seed)
     for added in additions[:_TRIED]:
-        if laplace_evidence(added[1]) + _promised(added[1]) < had + EXPLAINS:
+        if laplace_evidence(added[1]) + promised(added[1]) < had + EXPLAINS:
             break
         chosen, rough = _without_superfluous(inquiry, *added, seed=seed)
         if frozenset(effect.name for effect in chosen) in seen:
@@ -380,11 +379,6 @@ def _distance(fit: ModelFit, effect: Effect) -> float:
     place = fit.prior.names.index(effect.names[0])
     marginal, at, sd = fit.prior.marginals[place], fit.mean[place], fit.chol[place].norm()
     return float(marginal.to_physical(at).abs() / (sd * marginal.log_slope(at).exp()))
-
-
-def _promised(fit: ModelFit) -> float:
-    """Nats that a fit which has not converged may still gain, by its gradient."""
-    return 0.0 if fit.certificate.converged else PROMISED * fit.certificate.gradient**2
 
 
 def _finished(fit: ModelFit, inquiry: Inquiry, seed: int) -> ModelFit:
