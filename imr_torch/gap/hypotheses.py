@@ -184,7 +184,7 @@ def _descend(
     found = search(belief, batch, coarse, options=rough, starts=starts, nuisances=nuisances).fits
     fits = [_seen_by(fit, batch, simulator) for fit in found]
     limit = math.inf if reach is None else min(*(fit.cost for fit in fits), options.known_cost) + reach
-    near = [i for i, fit in enumerate(fits) if fit.cost - PROMISED * fit.certificate.gradient**2 <= limit]
+    near = [i for i, fit in enumerate(fits) if fit.cost - promised(fit) <= limit]
     if not near:  # a fit that is known already is better than all
         return fits
     kept = Belief(tuple(belief.models[i] for i in near), torch.zeros(len(near), dtype=torch.float64))
