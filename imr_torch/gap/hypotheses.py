@@ -105,8 +105,13 @@ def fit_null(
 
 def _lower(one: ModelFit, other: ModelFit, options: SearchOptions) -> ModelFit:
     """The fit that is or may become the lower, certified also if the other search found that minimum too."""
-    low, high = sorted((one, other), key=lambda fit: fit.cost - promised(fit))
+    low, high = sorted((one, other), key=_reach)
     return _certified(low, min(low.certificate.agreement, abs(high.cost - low.cost)), options)
+
+
+def _reach(fit: ModelFit) -> float:
+    """The cost that a fit has or may get down to; one that has no gradient is not iterated further."""
+    return fit.cost - promised(fit) if math.isfinite(fit.certificate.gradient) else fit.cost
 
 
 def _certified(fit: ModelFit, agreement: float, options: SearchOptions) -> ModelFit:

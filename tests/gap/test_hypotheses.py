@@ -1,5 +1,9 @@
 """Fits that coarse bubbles lead: the same minimum as without them, and no certificate for what was left behind."""
 
+import math
+from dataclasses import replace
+
+import pytest
 import torch
 
 from imr_torch.assimilate import Posterior, SearchOptions
@@ -63,3 +67,21 @@ def test_that_a_collapse_on_the_wrong_side_of_a_frame_ends_no_search() -> None:
     options = SearchOptions(starts=2, basin_rounds=0, polish=False)
     found = fit_hypotheses([hypothesis], null, batch, SIMULATOR, seed=0, options=options)["rinf_bias"]
     assert found.cost < fit(batch, hypothesis, rinf_bias=-0.08).cost + 0.1  # 33 nats above with every frame from the start
+
+
+def test_that_of_two_fits_the_lower_counts_or_one_that_may_get_lower() -> None:
+    ended = fit(shoot({}, DESIGNS[:1]))
+
+    def other(ahead: float, gradient: float):
+        certificate = replace(ended.certificate, gradient=gradient, converged=gradient < 1e-3)
+        return replace(ended, cost=ended.cost - ahead, certificate=certificate)
+
+    def cost(one, two) -> float:
+        (found,) = {hypotheses._lower(*pair, SearchOptions()).cost for pair in ((one, two), (two, one))}
+        return found - ended.cost
+
+    assert cost(ended, other(1.0, 1e-4)) == pytest.approx(-1.0)
+    assert cost(ended, other(-5.0, 2.0)) == pytest.approx(5.0)  # its gradient allows 8 nats
+    assert cost(ended, other(-5.0, 1.0)) == 0.0
+    assert cost(ended, other(-5.0, math.inf)) == 0.0  # was never iterated
+    assert cost(ended, other(-math.inf, math.inf)) == 0.0  # could not be simulated
