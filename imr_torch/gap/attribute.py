@@ -217,6 +217,8 @@ def _concluded(
     if checked and all(found.reliable for found in checked.values()):
         evidence |= {name: found.sampled for name, found in checked.items()}
         winner = _winner(problem, evidence)
+        if not fits[winner].certificate.converged:
+            fits[winner] = finish(fits[winner], batch, simulator, seed=child(seed, "ahead"), progress=progress)
     left = adequacy_test(fits[winner], inquiry.effects, batch, simulator, seed=child(seed, "adequacy"))
     size = math.sqrt(max(2.0 * (problem.null.cost - fits[winner].cost), 0.0))
     like = problem.before.likeness(size, seed=seed)

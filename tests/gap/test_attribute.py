@@ -6,6 +6,7 @@ import pytest
 
 from imr_torch.assimilate import SearchOptions
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
+from imr_torch.gap.evidence import CheckedEvidence
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.material import LIBRARY
 from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator, fewer_steps
@@ -29,6 +30,18 @@ def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch)
     assert found.fits["gas_loss"].certificate.converged
     assert not found.fits["surface_tension"].certificate.converged
     assert found.log_evidence["gas_loss"] == pytest.approx(laplace_evidence(found.fits["gas_loss"]))
+
+
+def test_that_an_effect_which_sampling_puts_ahead_is_fitted_to_the_end(monkeypatch) -> None:
+    batch = shoot({"gas_loss": 0.2})
+    null = fit(batch)
+    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2, polish=False))
+    ahead = CheckedEvidence(laplace=0.0, sampled=1e6, error=0.1, reliable=True)
+    monkeypatch.setattr("imr_torch.gap.attribute.check_evidence", lambda *_, **__: {"surface_tension": ahead})
+    found = attribute(Inquiry(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), batch, SIMULATOR), null, {}, seed=0)
+    assert found.winner == "surface_tension"
+    assert found.fits["surface_tension"].certificate.converged
+    assert found.log_evidence["surface_tension"] == 1e6
 
 
 def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_more() -> None:
