@@ -234,10 +234,7 @@ def _halves(record: Record) -> Control:
 
 def _halves_choices(record: Record) -> Control:
     """The same with effects that are not clearly worse; wide choices overlap by chance, so that is stated."""
-    name, must = (
-        "the same, effects that are not clearly worse included",
-        "one effect is in both halves' choice, or no gap in both",
-    )
+    name, must = "the same, effects that are not clearly worse included", "no target of its own; 70 % as above"
     pairs = _pairs(record)
     if not pairs:
         return _open(name, must)
