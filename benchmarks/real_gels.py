@@ -6,11 +6,10 @@
 FOLDER holds a CSV file a gel and a JSON file beside it. `run` appends a line a set and task, and passes over what has a line.
 Of each set at most `--max-curves` are taken (default 4), evenly spread over those that can be fitted and whose tail does not
 grow again. Curves that figures show go into a file of their own beside the record. The medium is stated (`SETS`); models with
-heat and vapour transport. Tasks: `characterize` (Newtonian, NHKV and generalised QKV), `diagnose` (effects selected stepwise on
-every second curve, at most four, and a gel of its own for each curve, judged on the other curves, which no fit saw) and `other
-half` (the other curves, for their first effect only). Two curves have two halves of one, one curve has none and its effects are
-judged in sample. `table` writes one page, with the controls (`real_gels_controls.py`) and a figure a set
-(`real_gels_page.py`).
+heat and vapour transport. Tasks: `characterize` (Newtonian, NHKV and generalised QKV), `diagnose` (additions selected stepwise
+on every second curve, at most four, judged on the other curves, which no fit saw) and `other half` (the other curves, for their
+first addition only). Two curves have two halves of one, one curve has none and its additions are judged in sample. `table`
+writes one page, with the controls (`real_gels_controls.py`) and a figure a set (`real_gels_page.py`).
 """
 
 import argparse
@@ -18,6 +17,7 @@ import json
 import time
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +28,9 @@ from imr_torch import characterize, load_traces
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.errors import ImrError
-from imr_torch.gap import StepwiseSelection, diagnose, library, noise_of_traces
-from imr_torch.gap.document import selection_document
+from imr_torch.gap import diagnose, library, noise_of_traces
+from imr_torch.gap.document import differing_document, selection_document
 from imr_torch.gap.parts import closed_by
-from imr_torch.gap.scatter import gel_scatter
 from imr_torch.material import wide_prior
 from imr_torch.observe import ExperimentBatch, GelMedium, TraceSet, find_landmarks, prepare
 from imr_torch.random import child
@@ -98,7 +97,7 @@ def characterized(file: Path, most: int, medium: str) -> dict[str, Any]:
 
 
 def diagnosed(file: Path, most: int, medium: str, *, other: bool) -> dict[str, Any]:
-    """Verdict and selection of every second curve, judged on the others; of the ``other`` half its first effect only."""
+    """Verdict and selection of every second curve, judged on the others; of the ``other`` half its first addition only."""
     traces, rest = traces_of(file, most)
     simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
     stated = medium_of(traces, medium, simulator.conditions.surroundings)
@@ -108,10 +107,17 @@ def diagnosed(file: Path, most: int, medium: str, *, other: bool) -> dict[str, A
     fitted, unseen = halves[::-1] if other else halves
     if not fitted:
         return {"skipped": "one curve has no other half"}
-    noise, count = noise_of_traces(fitted), 1 if other else MOST
+    noise, additions = noise_of_traces(fitted), 1 if other else MOST
     effects, seed = _effects(stated), child(SEED, "other" if other else "first")
     report = diagnose(
-        fitted, base=base, effects=effects, noise=noise, simulator=simulator, most=min(count, 2), seed=seed, progress=_progress
+        fitted,
+        base=base,
+        effects=effects,
+        noise=noise,
+        simulator=simulator,
+        most=min(additions, 2),
+        seed=seed,
+        progress=_progress,
     )
     row = {
         "curves": [e.label for e in fitted],
@@ -128,18 +134,10 @@ def diagnosed(file: Path, most: int, medium: str, *, other: bool) -> dict[str, A
     }
     if not report.found:
         return row | {"converged": report.converged, "ladder": None, "shown": _shown(report.batch, {"none": report.null})}
-    selection = closed_by(
-        report,
-        simulator,
-        unseen,
-        most=count,
-        seed=seed,
-        scatter=None if other else gel_scatter(report, simulator, seed=child(seed, "scatter")),
-        progress=_progress,
-    )[0]
+    selection = closed_by(report, simulator, unseen, most=additions, seed=seed, progress=_progress)[0]
     fits = {step.name: step.fit for step in (selection.steps[0], selection.steps[-1])}
-    own = selection_document(StepwiseSelection(selection.own_gels))
-    said = {"converged": report.converged, "ladder": selection_document(selection), "own_gels": own, "sentence": str(selection)}
+    said = {"converged": report.converged, "ladder": selection_document(selection), "sentence": str(selection)}
+    said |= {"differing": differing_document(selection)}
     return row | said | {"shown": _shown(report.batch, fits)}
 
 
@@ -177,8 +175,8 @@ def run(args: argparse.Namespace) -> None:
     done = {(row["set"], row["task"]) for row in rows(path)}
     tasks: dict[str, Callable[[Path, int, str], dict[str, Any]]] = {
         "characterize": characterized,
-        "diagnose": lambda *given: diagnosed(*given, other=False),
-        "other half": lambda *given: diagnosed(*given, other=True),
+        "diagnose": partial(diagnosed, other=False),
+        "other half": partial(diagnosed, other=True),
     }
     with path.open("a", encoding="utf-8") as stream:
         for name, task in ((name, task) for name in names for task in args.tasks.split(",")):

@@ -20,6 +20,9 @@ ELASTIC = frozenset({"strain_stiffening", "damage", "healing_damage", "graded_mo
 MATERIAL = ELASTIC | {"stress_relaxation", "shear_thinning", "viscous_damage", "yield_stress", "density"}
 """Effects of the library that are properties of the gel, and neither of the drive nor of the contents or the camera."""
 
+SCATTER = "gel_scatter"
+"""The addition that curves differ: in their gel, and in how strong effects are."""
+
 _SOFT = 1e3  # Pa
 _LIKELY = 0.5
 
@@ -165,9 +168,14 @@ def judged(record: Record) -> list[dict[str, Any]]:
 
 def best_step(row: dict[str, Any]) -> dict[str, Any]:
     """The step that the program reports: of those that close some of the gap on unseen curves, the best predictor there."""
-    every = [*row["ladder"], *row.get("own_gels", [])]
-    scores = [step["log_score"][0] if step["closed"] and step["closed"][1] > 0.0 else 0.0 for step in every]
-    return every[scores.index(max(scores))]
+    steps = all_steps(row)
+    scores = [step["log_score"][0] if step["closed"] and step["closed"][1] > 0.0 else 0.0 for step in steps]
+    return steps[scores.index(max(scores))]
+
+
+def all_steps(row: dict[str, Any]) -> list[dict[str, Any]]:
+    """The steps of a selection, and the base model where curves differ if no step is that."""
+    return [*row["ladder"], *([row["differing"]] if row["differing"] else [])]
 
 
 def share(step: dict[str, Any]) -> float:
@@ -181,10 +189,8 @@ def _closed(record: Record) -> Control:
     if not rows:
         return _open(name, must)
     found = [share(best_step(row)) for row in rows]
-    effects = [max(map(share, row["ladder"])) for row in rows]
-    gels = [max(map(share, row["own_gels"])) for row in rows if row.get("own_gels")]
-    value = f"median {median(found):.2f} of {len(rows)} sets; by the best step of effects alone {median(effects):.2f}"
-    value += f", where each curve has a gel of its own {median(gels):.2f}" if gels else ""
+    alike = [max(share(step) for step in row["ladder"] if SCATTER not in step["effects"]) for row in rows]
+    value = f"median {median(found):.2f} of {len(rows)} sets; by steps at which curves do not differ {median(alike):.2f}"
     return Control(name, must, value, median(found) >= 0.8)
 
 
@@ -199,13 +205,13 @@ def _residual(record: Record) -> Control:
 
 
 def _ratio(row: dict[str, Any]) -> float:
-    """Least misfit over noise of all steps of effects."""
+    """Least misfit over noise of all steps."""
     return min(step["misfit"] / step["noise"] for step in row["ladder"])
 
 
 def _certified(record: Record) -> Control:
     name, must = "certificates of the steps", "every step"
-    steps = [step for row in selections(record) for step in (*row["ladder"], *row.get("own_gels", []))]
+    steps = [step for row in selections(record) for step in all_steps(row)]
     good = sum(step["converged"] for step in steps)
     return Control(name, must, f"{good} of {len(steps)}", good == len(steps)) if steps else _open(name, must)
 
@@ -217,35 +223,35 @@ def _scores(record: Record) -> Control:
         return _open(name, must)
     ahead = sum(bool(best_step(row)["effects"]) for row in rows)
     last = sum(row["ladder"][-1]["log_score"][0] > 0.0 for row in rows)
-    value = f"{ahead} of {len(rows)}; of the last step of effects in {last}"
+    value = f"{ahead} of {len(rows)}; of the last step in {last}"
     return Control(name, must, value, ahead >= 0.9 * len(rows))
 
 
 def _halves(record: Record) -> Control:
-    name, must = "the same gel, two halves of its curves", "same first effect, or no gap in both, in 70 % of the sets"
+    name, must = "the same gel, two halves of its curves", "same first addition, or no gap in both, in 70 % of the sets"
     pairs = _pairs(record)
     if not pairs:
         return _open(name, must)
     found = [(_first(one), _first(two)) for one, two in pairs]
     same, both = sum(a == b for a, b in found), [pair for pair in found if all(pair)]
-    value = f"{same} of {len(found)} sets; of {len(both)} with an effect in both, {sum(a == b for a, b in both)}"
+    value = f"{same} of {len(found)} sets; of {len(both)} with an addition in both, {sum(a == b for a, b in both)}"
     return Control(name, must, value, same >= 0.7 * len(found))
 
 
 def _halves_choices(record: Record) -> Control:
-    """The same with effects that are not clearly worse; wide choices overlap by chance, so that is stated."""
-    name, must = "the same, effects that are not clearly worse included", "no target of its own; 70 % as above"
+    """The same with additions that are not clearly worse; wide choices overlap by chance, so that is stated."""
+    name, must = "the same, additions that are not clearly worse included", "no target of its own; 70 % as above"
     pairs = _pairs(record)
     if not pairs:
         return _open(name, must)
-    choices = [(first_choice(one), first_choice(two), len(one["effects"])) for one, two in pairs]
+    choices = [(first_choice(one), first_choice(two), 1 + len(one["effects"])) for one, two in pairs]
     agree = sum(bool(a & b) or not (a or b) for a, b, _ in choices)
     gaps = [(a, b, count) for a, b, count in choices if a and b]
     overlap = sum(bool(a & b) for a, b, _ in gaps)
     chance = sum(1.0 - math.comb(count - len(a), len(b)) / math.comb(count, len(b)) for a, b, count in gaps)
     sizes = [len(choice) for a, b, _ in gaps for choice in (a, b)]
-    value = f"{agree} of {len(choices)} sets; of {len(gaps)} with an effect in both, {overlap} (by chance {chance:.1f}); "
-    return Control(name, must, value + f"effects in a choice: median {median(sizes or [0]):.0f}", agree >= 0.7 * len(choices))
+    value = f"{agree} of {len(choices)} sets; of {len(gaps)} with an addition in both, {overlap} (by chance {chance:.1f}); "
+    return Control(name, must, value + f"additions in a choice: median {median(sizes or [0]):.0f}", agree >= 0.7 * len(choices))
 
 
 def _pairs(record: Record) -> list[tuple[dict[str, Any], dict[str, Any]]]:
@@ -255,19 +261,19 @@ def _pairs(record: Record) -> list[tuple[dict[str, Any], dict[str, Any]]]:
 
 
 def _first(row: dict[str, Any]) -> str | None:
-    """First effect of a stepwise selection; None without one."""
+    """First addition of a stepwise selection; None without one."""
     ladder = row.get("ladder") or []
-    return ladder[1]["effects"][0] if len(ladder) > 1 else None
+    return ladder[1]["added"] if len(ladder) > 1 else None
 
 
 def first_choice(row: dict[str, Any]) -> set[str]:
-    """The first effect of a stepwise selection and those that are not clearly worse; empty without one."""
+    """The first addition of a stepwise selection and those that are not clearly worse; empty without one."""
     first = _first(row)
     return {first, *row["ladder"][1]["alternatives"]} if first else set()
 
 
 def _time(record: Record) -> Control:
-    name, must = "processor time of two curves, a stepwise selection of at most four effects, one thread", "120 s"
+    name, must = "processor time of two curves, a stepwise selection of at most four additions, one thread", "120 s"
     times = sorted(row["cpu"] for row in selections(record) if len(row["curves"]) == 2)
     if not times:
         return _open(name, must)

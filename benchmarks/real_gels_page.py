@@ -9,7 +9,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from real_gels_controls import Record, best_step, controls, first_choice, model
+from real_gels_controls import Record, all_steps, best_step, controls, first_choice, model
 
 
 def write_page(rows: list[dict[str, Any]], curves: dict[str, list[dict[str, Any]]], path: Path) -> None:
@@ -73,10 +73,9 @@ def _interval(values: list[float]) -> str:
 def _selection(record: Record, sets: list[str]) -> list[str]:
     """Verdict and selection of each set."""
     lines = [
-        "| set | verdict | effects, in order | misfit over noise, from and to | closed on unseen curves (90 %) "
-        "| with a gel of its own for each curve | held-out score over the base, nats | reported "
-        "| first effect of the other half | certified | CPU (s) |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        "| set | verdict | steps: what each added | misfit over noise, from and to | reported | closed on unseen curves (90 %) "
+        "| held-out score over the base, nats | first addition of the other half | certified | CPU (s) |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for name in sets:
         row, other = record.get((name, "diagnose")), record.get((name, "other half")) or {}
@@ -84,22 +83,22 @@ def _selection(record: Record, sets: list[str]) -> list[str]:
             continue
         if "failure" in row or not row.get("ladder"):
             said = row.get("failure") or f"{row['verdict']} {row['reason']}"
-            lines.append(f"| {name} | {said} |" + " |" * 7 + f" {row.get('converged', '')} | {row['cpu']:.0f} |")
+            lines.append(f"| {name} | {said} |" + " |" * 6 + f" {row.get('converged', '')} | {row['cpu']:.0f} |")
             continue
         first, last = row["ladder"][0], row["ladder"][-1]
-        gels = row.get("own_gels", [])
-        after = other["ladder"][1]["effects"][0] if other.get("ladder") and len(other["ladder"]) > 1 else ""
+        best = best_step(row)
+        closed, score = best["closed"], best["log_score"]
+        after = other["ladder"][1]["added"] if other.get("ladder") and len(other["ladder"]) > 1 else ""
         cells = [
             name,
             f"{row['verdict']} {', '.join(row['cause'])}".strip(),
-            ", ".join(last["effects"]),
+            ", ".join(step["added"] for step in row["ladder"][1:]),
             f"{first['misfit'] / first['noise']:.1f} to {last['misfit'] / last['noise']:.1f}",
-            "" if not last["closed"] else f"{last['closed'][1]:.2f} ({last['closed'][0]:.2f} to {last['closed'][2]:.2f})",
-            "; ".join(f"{', '.join(own['effects'])} {_interval(own['closed'])}" for own in gels if own["closed"]),
-            "" if not last["log_score"] else f"{last['log_score'][0]:.0f} +- {last['log_score'][1]:.0f}",
-            ", ".join(best_step(row)["effects"]) or "none" if last["closed"] else "",
+            ", ".join(best["effects"]) or "none" if last["closed"] else "",
+            "" if not closed else f"{closed[1]:.2f} ({closed[0]:.2f} to {closed[2]:.2f})",
+            "" if not score else f"{score[0]:.0f} +- {score[1]:.0f}",
             after,
-            f"{sum(r['converged'] for r in row['ladder'])} of {len(row['ladder'])}",
+            f"{sum(step['converged'] for step in all_steps(row))} of {len(all_steps(row))}",
             f"{row['cpu']:.0f}",
         ]
         lines.append("| " + " | ".join(cells) + " |")
@@ -115,7 +114,7 @@ def _said(row: dict[str, Any] | None, other: dict[str, Any] | None) -> list[str]
     lines = [f"Medium stated: {row['stated']}. {row['reason']}"]
     if row.get("sentence"):
         lines.append(row["sentence"])
-    choices = {"First effect": first_choice(row), "First effect of the other half": first_choice(other or {})}
+    choices = {"First addition": first_choice(row), "First addition of the other half": first_choice(other or {})}
     lines += [
         f"{whose}, not clearly told apart: {', '.join(sorted(names))}." for whose, names in choices.items() if len(names) > 1
     ]
@@ -149,7 +148,7 @@ def _figure(row: dict[str, Any], curves: list[dict[str, Any]], path: Path) -> No
     places = range(len(steps))
     axes[4].bar(places, [step["misfit"] for step in steps], color="0.6")
     axes[4].plot(places, [step["noise"] for step in steps], "k_", ms=18)
-    axes[4].set_xticks(list(places), [", ".join(step["effects"][-1:]) or "base" for step in steps], rotation=30, fontsize=7)
+    axes[4].set_xticks(list(places), [step["added"] or "base" for step in steps], rotation=30, fontsize=7)
     axes[4].set(title="misfit in R* by step; dashes: noise")
     figure.savefig(path, dpi=70)
     plt.close(figure)

@@ -25,7 +25,7 @@ _MARGIN = 1e-6  # from the earliest time of a bubble, against rounding
 _DISTINCT = 1e-13  # between times that may coincide, as places are apart by what frames may be apart by
 
 
-def deeper_nuisances(posterior: Posterior, point: Point) -> Float[Tensor, "models experiments 3"]:
+def deeper_nuisances(posterior: Posterior, point: Point) -> Float[Tensor, "models experiments nuisances"]:
     """Nuisances in the deepest basin of each experiment that is found at fixed gels.
 
     Args:
@@ -40,12 +40,13 @@ def deeper_nuisances(posterior: Posterior, point: Point) -> Float[Tensor, "model
         return point.nuisances
     places = _lowest_places(posterior, point)
     gels, flat = point.gel.repeat_interleave(_BASINS, 0), places.flatten(0, 1)
-    unit = torch.eye(3, dtype=torch.float64).expand(*flat.shape[:2], 3, 3)
+    width = flat.shape[-1]
+    unit = torch.eye(width, dtype=torch.float64).expand(*flat.shape[:2], width, width)
     for _ in range(_STEPS):
         flat = conditional_nuisances(posterior, Point(gels, flat), unit)[0]
     before = _cost(posterior, point)  # M x E
     cost, place = _cost(posterior, Point(gels, flat)).unflatten(0, places.shape[:2]).min(1)
-    found = flat.unflatten(0, places.shape[:2]).gather(1, place[:, None, :, None].expand(-1, 1, -1, 3))[:, 0]
+    found = flat.unflatten(0, places.shape[:2]).gather(1, place[:, None, :, None].expand(-1, 1, -1, width))[:, 0]
     return torch.where((movable & (cost < before - ONE_MINIMUM))[..., None], found, point.nuisances)
 
 
@@ -69,7 +70,7 @@ def _lowest_places(posterior: Posterior, point: Point) -> Tensor:
     step = -torch.cholesky_solve(gradient[..., None], root)[..., 0]
     cost = 0.5 * moved.square().sum(-1) - batch.log_likelihood(prediction[:, :, 0]) + 0.5 * (gradient * step).sum(-1)
     chosen = _minima(torch.where(known, cost, torch.inf))
-    return (moved + step).gather(1, chosen[..., None].expand(-1, -1, -1, 3))
+    return (moved + step).gather(1, chosen[..., None].expand(-1, -1, -1, step.shape[-1]))
 
 
 def _reach(posterior: Posterior, nuisances: Tensor) -> Tensor:
@@ -95,7 +96,7 @@ def _predict_moved(posterior: Posterior, point: Point, reach: Tensor) -> Tensor:
     """
     batch, uncertain = posterior.batch, posterior.uncertain.tolist()
     columns = [column for column in uncertain if column != _TIME_ZERO]
-    sides = STEP * torch.eye(3, dtype=torch.float64)[columns]
+    sides = STEP * torch.eye(batch.nuisance_sds.shape[1], dtype=torch.float64)[columns]
     points = torch.cat((point.nuisances[:, None], point.nuisances[:, None] + sides[:, None]), 1)
     times, order = (batch.times[:, None] + reach.mT[..., None]).flatten(1).sort(1)
     times = times + _DISTINCT * torch.arange(times.shape[1])

@@ -18,8 +18,8 @@ _LONGEST = 4.0  # prior standard deviations in one step
 
 
 def conditional_nuisances(
-    posterior: Posterior, point: Point, chol: Float[Tensor, "draws experiments 3 3"]
-) -> tuple[Float[Tensor, "draws experiments 3"], Float[Tensor, "draws experiments 3 3"]]:
+    posterior: Posterior, point: Point, chol: Float[Tensor, "draws experiments nuisances nuisances"]
+) -> tuple[Float[Tensor, "draws experiments nuisances"], Float[Tensor, "draws experiments nuisances nuisances"]]:
     """Most probable nuisances of each gel and their precision, by one Gauss-Newton step.
 
     Args:

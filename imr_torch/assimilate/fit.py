@@ -121,9 +121,9 @@ class ModelFit:
     prior: ModelBelief
     mean: Float[Tensor, "controls"]
     chol: Float[Tensor, "controls controls"]
-    nuisances: Float[Tensor, "experiments 3"]
-    nuisance_response: Float[Tensor, "experiments 3 controls"]
-    nuisance_chol: Float[Tensor, "experiments 3 3"]
+    nuisances: Float[Tensor, "experiments nuisances"]
+    nuisance_response: Float[Tensor, "experiments nuisances controls"]
+    nuisance_chol: Float[Tensor, "experiments nuisances nuisances"]
     cost: float
     prediction: Float[Tensor, "experiments frames"]
     certificate: Certificate
@@ -233,12 +233,14 @@ class ModelFit:
             return f"intervals repaired: of weighted draws, {float(moved):.2f} sd from the fitted Gaussian at most ({shape})"
         return f"intervals not reliable: quote none of this model ({shape})"
 
-    def nuisances_at(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch experiments 3"]:
+    def nuisances_at(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch experiments nuisances"]:
         """Most probable nuisances given the gel, linearised."""
         deviation = controls - self.mean
         return self.nuisances + (self.nuisance_response @ deviation[..., None, :, None])[..., 0]
 
-    def nuisance_noise(self, noise: Float[Tensor, "*batch experiments 3"]) -> Float[Tensor, "*batch experiments 3"]:
+    def nuisance_noise(
+        self, noise: Float[Tensor, "*batch experiments nuisances"]
+    ) -> Float[Tensor, "*batch experiments nuisances"]:
         """Standard normal numbers ``... x E x 3`` as deviations of the nuisances given the gel."""
         return torch.linalg.solve_triangular(self.nuisance_chol.mT, noise[..., None], upper=True)[..., 0]
 

@@ -1,9 +1,9 @@
 """What the camera would see of one model's gels, and how it changes with gel and nuisances.
 
 Fits, information gain and gap tests get their sensitivities here, of measured experiments as of planned designs. Points are in
-whitened coordinates, in which the prior is a standard normal: ``d`` of the gel, and three of each experiment (Rmax, time zero,
-R_inf). Sensitivities are differences of bubbles that take the steps of one of them (a bundle), so they are those of the solver
-itself.
+whitened coordinates, in which the prior is a standard normal: ``d`` of the gel, and ``w`` of each experiment (Rmax, time zero,
+R_inf, and deviations of its gel if it has one of its own). Sensitivities are differences of bubbles that take the steps of one
+of them (a bundle), so they are those of the solver itself.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Point:
 
     Args:
         gel: ``batch_shape x d`` tensor.
-        nuisances: ``batch_shape x E x 3`` tensor.
+        nuisances: ``batch_shape x E x w`` tensor.
 
     >>> import torch
     >>> from imr_torch.assimilate import Point
@@ -38,7 +38,7 @@ class Point:
     """
 
     gel: Float[Tensor, "*batch controls"]
-    nuisances: Float[Tensor, "*batch experiments 3"]
+    nuisances: Float[Tensor, "*batch experiments nuisances"]
 
     def __getitem__(self, rows: Tensor | slice | int | tuple[Tensor | slice | int | None, ...]) -> "Point":
         return Point(self.gel[rows], self.nuisances[rows])
@@ -87,13 +87,13 @@ class ForwardModel:
 
     @cached_property
     def _nuisance_steps(self) -> Tensor:
-        """``S x 1 x 3`` tensor: the step of each uncertain nuisance, the same in all experiments."""
-        steps = torch.zeros(len(self.uncertain), 1, 3, dtype=torch.float64)
+        """``S x 1 x w`` tensor: the step of each uncertain nuisance, the same in all experiments."""
+        steps = torch.zeros(len(self.uncertain), 1, self.batch.nuisance_sds.shape[1], dtype=torch.float64)
         steps[torch.arange(len(self.uncertain)), 0, self.uncertain] = STEP
         return steps
 
-    def still(self, *batch_shape: int) -> Float[Tensor, "*batch experiments 3"]:
-        """Nuisances at their prior means, ``batch_shape x E x 3``."""
+    def still(self, *batch_shape: int) -> Float[Tensor, "*batch experiments nuisances"]:
+        """Nuisances at their prior means, ``batch_shape x E x w``."""
         return torch.zeros(*batch_shape, *self.batch.nuisance_sds.shape, dtype=torch.float64)
 
     def to_si(self, gel: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch parameters"]:
@@ -139,8 +139,8 @@ class ForwardModel:
 
     def slopes(
         self, moves: Float[Tensor, "*batch directions controls"], prediction: Float[Tensor, "*batch bundle experiments frames"]
-    ) -> tuple[Float[Tensor, "*batch experiments frames controls"], Float[Tensor, "*batch experiments frames 3"]]:
-        """Sensitivities to the gel (``batch_shape x E x T x d``) and to the nuisances (``batch_shape x E x T x 3``).
+    ) -> tuple[Float[Tensor, "*batch experiments frames controls"], Float[Tensor, "*batch experiments frames nuisances"]]:
+        """Sensitivities to the gel (``batch_shape x E x T x d``) and to the nuisances (``batch_shape x E x T x w``).
 
         Neighbours that failed give a slope of zero.
 
@@ -154,6 +154,6 @@ class ForwardModel:
             by_gel = ensemble_sensitivity(moves.unsqueeze(-3), (moved - centre).transpose(-3, -2))  # of ... x E x N x T
         else:
             by_gel = prediction.new_zeros(*prediction[..., 0, :, :].shape, moves.shape[-1])
-        by_nuisance = torch.zeros(*prediction[..., 0, :, :].shape, 3, dtype=torch.float64)
+        by_nuisance = prediction.new_zeros(*prediction[..., 0, :, :].shape, self.batch.nuisance_sds.shape[1])
         by_nuisance[..., self.uncertain] = ((shifted - centre) / STEP).nan_to_num().movedim(-3, -1)
         return by_gel, by_nuisance

@@ -27,8 +27,8 @@ class Reduced:
 
     gradient: Float[Tensor, "*batch controls"]
     hessian: Float[Tensor, "*batch controls controls"]
-    nuisance_step: Float[Tensor, "*batch experiments 3"]
-    nuisance_response: Float[Tensor, "*batch experiments 3 controls"]
+    nuisance_step: Float[Tensor, "*batch experiments nuisances"]
+    nuisance_response: Float[Tensor, "*batch experiments nuisances controls"]
     nuisance_log_det: Float[Tensor, "*batch"]
 
 
@@ -55,10 +55,10 @@ class NormalEquations:
     """
 
     gel_gradient: Float[Tensor, "*batch controls"]
-    nuisance_gradient: Float[Tensor, "*batch experiments 3"]
+    nuisance_gradient: Float[Tensor, "*batch experiments nuisances"]
     gel_hessian: Float[Tensor, "*batch controls controls"]
-    nuisance_hessian: Float[Tensor, "*batch experiments 3 3"]
-    cross: Float[Tensor, "*batch experiments 3 controls"]
+    nuisance_hessian: Float[Tensor, "*batch experiments nuisances nuisances"]
+    cross: Float[Tensor, "*batch experiments nuisances controls"]
 
     def __getitem__(self, rows: int | Tensor) -> "NormalEquations":
         """Those of some of the points."""
@@ -99,7 +99,7 @@ class NormalEquations:
 
     def step(
         self, damping: Float[Tensor, "*#batch"]
-    ) -> tuple[Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments 3"]]:
+    ) -> tuple[Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments nuisances"]]:
         """Levenberg-Marquardt steps of gel (``... x d``) and nuisances (``... x E x 3``) for a ``...`` damping."""
         damped = self._eliminate(damping)
         gel = -torch.linalg.solve(damped.hessian, damped.gradient[..., None])[..., 0]
@@ -154,9 +154,11 @@ def _damped(hessian: Tensor, damping: Tensor) -> Tensor:
 
 def normal_equations(
     gel: Float[Tensor, "*#batch controls"],
-    nuisances: Float[Tensor, "*#batch experiments 3"],
-    gradients: tuple[Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments 3"]],
-    sensitivities: tuple[Float[Tensor, "*#batch experiments frames controls"], Float[Tensor, "*#batch experiments frames 3"]],
+    nuisances: Float[Tensor, "*#batch experiments nuisances"],
+    gradients: tuple[Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments nuisances"]],
+    sensitivities: tuple[
+        Float[Tensor, "*#batch experiments frames controls"], Float[Tensor, "*#batch experiments frames nuisances"]
+    ],
 ) -> NormalEquations:
     """Assemble the arrow.
 

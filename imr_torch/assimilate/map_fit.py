@@ -40,7 +40,7 @@ def assimilate(
     options: SearchOptions | None = None,
     near: Assimilation | None = None,
     starts: Sequence[Float[Tensor, "starts _"]] | None = None,
-    nuisances: Sequence[Float[Tensor, "experiments 3"]] | None = None,
+    nuisances: Sequence[Float[Tensor, "experiments nuisances"]] | None = None,
     warn: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:
@@ -146,7 +146,7 @@ def _fit(chains: Chains, options: SearchOptions) -> ModelFit:
     gradient = float(chains.gradient[best])
     if equations is None:  # no start could be simulated
         response = torch.zeros(*posterior.still().shape, posterior.size, dtype=torch.float64)
-        nuisance_hessian = torch.eye(3, dtype=torch.float64).expand(len(response), 3, 3)
+        nuisance_hessian = torch.eye(response.shape[1], dtype=torch.float64).expand(len(response), -1, -1)
     else:
         response, nuisance_hessian = equations.reduced.nuisance_response, equations.nuisance_hessian
     rows = torch.tensor([best])

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
-from imr_torch.observe import ExperimentBatch, collapse_time
+from imr_torch.observe import collapse_time
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Masked:
         """The posterior of all frames, without those next to collapses."""
         batch = posterior.batch
         kept = [away_from_collapses(e.times, e.mean) for e in batch.experiments]
-        fewer = ExperimentBatch(tuple(e.at(k) for e, k in zip(batch.experiments, kept, strict=True)), batch.noise)
+        fewer = replace(batch, experiments=tuple(e.at(k) for e, k in zip(batch.experiments, kept, strict=True)))
         frames = torch.nn.utils.rnn.pad_sequence([torch.nonzero(k)[:, 0] for k in kept], batch_first=True)
         return cls(replace(posterior, batch=fewer), frames, not all(bool(k.all()) for k in kept))
 

@@ -77,7 +77,7 @@ class Posterior(ForwardModel):
         point: Point,
         prediction: Float[Tensor, "*batch experiments frames"],
         by_gel: Float[Tensor, "*batch experiments frames controls"],
-        by_nuisance: Float[Tensor, "*batch experiments frames 3"],
+        by_nuisance: Float[Tensor, "*batch experiments frames nuisances"],
     ) -> NormalEquations:
         """Gauss-Newton normal equations from given sensitivities.
 
@@ -153,7 +153,7 @@ class Neighbourhood:
     @cached_property
     def slopes(
         self,
-    ) -> tuple[Float[Tensor, "*batch experiments frames controls"], Float[Tensor, "*batch experiments frames 3"]]:
+    ) -> tuple[Float[Tensor, "*batch experiments frames controls"], Float[Tensor, "*batch experiments frames nuisances"]]:
         """Sensitivities of the prediction to the gel (``batch_shape x E x T x d``) and nuisances (``batch_shape x E x T x 3``).
 
         Neighbours that failed give a slope of zero.

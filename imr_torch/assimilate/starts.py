@@ -33,7 +33,7 @@ def best_prior_draws(posterior: Posterior, options: SearchOptions, source: torch
 def given(
     posteriors: Sequence[Posterior],
     gels: Sequence[Float[Tensor, "starts _"]],
-    nuisances: Sequence[Float[Tensor, "experiments 3"]] | None,
+    nuisances: Sequence[Float[Tensor, "experiments nuisances"]] | None,
 ) -> list[Point]:
     """Given gels, two rows or more of each model; all those of a model begin with the same nuisances, zero by default.
 

@@ -244,12 +244,12 @@ def _draw(state: _State, batch: ExperimentBatch, samples: int, seed: int, simula
     by_law = torch.rand(samples, 1, generator=generator(child(seed, "laws", fit.model, state.drawn)), dtype=torch.float64)
     uniforms = torch.cat((uniforms, by_law), 1)
     if sure:
-        still = torch.zeros(samples, 1, experiments, 3, dtype=torch.float64)
+        still = torch.zeros(samples, 1, *batch.nuisance_sds.shape, dtype=torch.float64)
         return _Draws(controls, still, still[..., 0], uniforms)
     uncertain = batch.nuisance_sds > 0.0
     last = fit.sample
     pairs = 1 if number < 2 or (last is not None and last.effective_samples > len(last) / 2) else _PAIRS
-    normal = torch.randn(samples, pairs, experiments, 3, generator=source, dtype=torch.float64)
+    normal = torch.randn(samples, pairs, *uncertain.shape, generator=source, dtype=torch.float64)
     half = torch.where(uncertain, student_draws(normal.shape, _FREEDOM, source), normal)
     noise = torch.cat((half, -half), dim=1)
     centre, chol = about.nuisances_at(controls), about.nuisance_chol.expand(samples, -1, -1, -1)
@@ -302,7 +302,7 @@ def _kept(draws: _Draws, likelihood: Tensor) -> Tensor:
     weights, experiments = likelihood + draws.log_ratio, likelihood.shape[2]
     share = torch.softmax(weights.flip(1).nan_to_num(neginf=-1e300), 1).cumsum(1)[:, :-1]
     kept = weights.shape[1] - 1 - (draws.uniforms[:, None, :experiments] >= share).sum(1)
-    return draws.nuisances.gather(1, kept[:, None, :, None].expand(-1, 1, -1, 3))[:, 0]
+    return draws.nuisances.gather(1, kept[:, None, :, None].expand(-1, 1, -1, draws.nuisances.shape[3]))[:, 0]
 
 
 def _drawn_laws(nodes: NoiseNodes, by_law: Tensor, uniforms: Tensor) -> Tensor:

@@ -72,8 +72,8 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
         "best_rival": None if judged is None else judged.rival,
         "ladder": None if parts.selection is None else selection_document(parts.selection),
+        "ladder_differing": None if parts.selection is None else differing_document(parts.selection),
         "ladder_unsettled": None if parts.selection is None else [name.split("+") for name in parts.selection.unsettled],
-        "ladder_own_gels": None if parts.selection is None else [_step(step) for step in parts.selection.own_gels],
         "gel_scatter": None if parts.scatter is None else parts.scatter.to_dict(),
         "cause_values": cause_values(report),
         "parameter_shift": parameter_shift(report),
@@ -144,10 +144,16 @@ def selection_document(selection: StepwiseSelection) -> list[dict[str, Any]]:
     return [_step(step) for step in selection.steps]
 
 
+def differing_document(selection: StepwiseSelection) -> dict[str, Any] | None:
+    """What a selection says of the base model where curves differ, like a step; None where a step is that, or none was made."""
+    return None if selection.differing is None else _step(selection.differing)
+
+
 def _step(step: SelectionStep) -> dict[str, Any]:
     """A step of the selection: its effects, what is left and where, what is closed on held-out designs, and the parameters."""
     return {
         "effects": list(step.effects),
+        "added": step.added or None,
         "alternatives": list(step.alternatives),
         "misfit": step.misfit,
         "noise": step.noise,

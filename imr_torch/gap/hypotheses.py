@@ -1,9 +1,9 @@
-"""Hypotheses of a diagnosis and their fits: the base model alone, or with one or more effects freed.
+"""Hypotheses of a diagnosis and their fits: the base model alone, with effects freed, or with a gel of its own in each curve.
 
 A hypothesis is the base model's prior with the effects' priors beside it, so everything that fits, weighs or designs for
-models does so for causes. Fits of effects start at the null fit, with the effect at each of its starts. Coarse bubbles
-(:func:`imr_torch.simulate.coarser`) lead the way to each minimum and leave out what is far behind; every fit that counts ends
-with the simulator that was given.
+models does so for causes. Gels that differ are further nuisances of the experiments (``ExperimentBatch.gel_sds``). Fits of
+effects start at the null fit, with the effect at each of its starts. Coarse bubbles (:func:`imr_torch.simulate.coarser`) lead
+the way to each minimum and leave out what is far behind; every fit that counts ends with the simulator that was given.
 """
 
 import math
@@ -18,16 +18,21 @@ from torch import Tensor
 from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, assimilate
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
 from imr_torch.assimilate.starts import BESIDE, around
-from imr_torch.material import Belief, Effect, ModelBelief
+from imr_torch.material import LIBRARY, Belief, Effect, ModelBelief
 from imr_torch.material.belief import beside
-from imr_torch.observe import ExperimentBatch
+from imr_torch.material.models import material
+from imr_torch.observe import NUISANCES, ExperimentBatch
+from imr_torch.population import SCALE
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator, coarser
 from imr_torch.types import Progress
 
 EXPLAINS = 3.0
 """Nats that an effect must explain to count as more than nothing."""
+GEL_SCATTER = "gel_scatter"
+"""Name of the hypothesis that the gel differs between experiments."""
 
+_GEL_APART = 0.25  # prior standard deviations between the starts of a fit that frees no effect
 _MANY = 6  # starts where fewer disagree
 _AGAIN = 3  # starts beside a fit whose own disagree
 _ROUGHLY = 0.03  # gradient at which a fit by coarse bubbles ends
@@ -42,15 +47,26 @@ class Hypothesis:
     Args:
         base: the base model's prior.
         effects: what is freed beside it.
+        own_gels: whether the gel, and with it how strong the effects are, differs between experiments (:func:`gel_sds`).
     """
 
     base: ModelBelief
     effects: tuple[Effect, ...] = ()
+    own_gels: bool = False
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the effects, and ``gel_scatter`` where gels differ."""
+        return (*(effect.name for effect in self.effects), *((GEL_SCATTER,) if self.own_gels else ()))
 
     @property
     def name(self) -> str:
-        """``"none"``, or the names of the effects joined by ``+``."""
-        return "+".join(effect.name for effect in self.effects) or "none"
+        """``"none"``, or the parts joined by ``+``."""
+        return "+".join(self.parts) or "none"
+
+    def seen(self, batch: ExperimentBatch) -> ExperimentBatch:
+        """The data as this hypothesis has them: experiments with gels of their own where these differ."""
+        return replace(batch, gel_sds=gel_sds(self.base, self.belief.names) if self.own_gels else {})
 
     @property
     def extra(self) -> tuple[str, ...]:
@@ -69,6 +85,9 @@ class Hypothesis:
             null: the fit; what it holds of the other effects is kept.
             of_last: values of the last effect's parameters; its own starts by default.
         """
+        if not self.effects:
+            gel = null.mean[[null.prior.names.index(name) for name in self.base.names]]
+            return torch.stack((gel, gel + _GEL_APART))
         belief = self.belief
         last = self.effects[-1]
         rows = []
@@ -82,6 +101,29 @@ class Hypothesis:
                     row[i] = null.mean[null.prior.names.index(name)]
             rows.append(row)
         return torch.stack(rows)
+
+
+def in_words(part: str) -> str:
+    """What a report calls a part of a hypothesis: an effect by its name.
+
+    >>> from imr_torch.gap.hypotheses import in_words
+    >>> in_words("gel_scatter"), in_words("clock")
+    ('differences between curves', 'clock')
+    """
+    return "differences between curves" if part == GEL_SCATTER else part
+
+
+def gel_sds(base: ModelBelief, names: Sequence[str]) -> dict[str, float]:
+    """Parameter -> prior standard deviation of its logarithm between experiments whose gels differ.
+
+    Parameters of the gel and amplitudes of effects differ; what is inferred of the medium and the shape of an effect do not.
+
+    Args:
+        base: the base model's prior.
+        names: parameters of a fit, those of the base model among them.
+    """
+    of_gel, amplitudes = material(base.model.split("+")[0]).names, {effect.names[0] for effect in LIBRARY.values()}
+    return {name: SCALE for name in names if name in of_gel or (name in amplitudes and name not in base.names)}
 
 
 def fit_null(
@@ -100,10 +142,10 @@ def fit_null(
     if fit.certificate.converged or fit.certificate.gradient >= options.gradient:
         return fit
     many = SearchOptions(starts=_MANY)
-    return _lower(fit, search(seed=child(seed, "again"), options=many).fits[0], many)
+    return lower(fit, search(seed=child(seed, "again"), options=many).fits[0], many)
 
 
-def _lower(one: ModelFit, other: ModelFit, options: SearchOptions) -> ModelFit:
+def lower(one: ModelFit, other: ModelFit, options: SearchOptions) -> ModelFit:
     """The fit that is or may become the lower, certified also if the other search found that minimum too."""
     low, high = sorted((one, other), key=_reach)
     return _certified(low, min(low.certificate.agreement, abs(high.cost - low.cost)), options)
@@ -131,7 +173,7 @@ def fit_hypotheses(
     options: SearchOptions | None = None,
     progress: Progress | None = None,
 ) -> dict[str, ModelFit]:
-    """Fit hypotheses from the null fit, in one batch.
+    """Fit hypotheses from the null fit, in one batch; those with gels that differ in another.
 
     Where the gap is large, the null fit's collapses lie on the wrong side of frames, each a local minimum. Hypotheses are then
     also fitted by searches that begin without the frames next to collapses (:mod:`imr_torch.assimilate.masking`), and the lower
@@ -150,17 +192,49 @@ def fit_hypotheses(
     Returns:
         Name of the hypothesis -> fit, whose certificate the caller must check.
     """
-    rows = [h.starts(null, (starts or {}).get(h.effects[-1].name)) for h in hypotheses]
+    found, options = dict[str, ModelFit](), options or SearchOptions()
+    together = [h for h in hypotheses if not h.own_gels]
+    for kind in (*([together] if together else []), *([h] for h in hypotheses if h.own_gels)):
+        fits = _fit_alike(kind, null, kind[0].seen(batch), simulator, seed, starts or {}, options, progress)
+        found |= {h.name: fit for h, fit in zip(kind, fits, strict=True)}
+        options = replace(options, rival=min(options.known_cost, *(fit.cost for fit in fits)))
+    return found
+
+
+def _fit_alike(
+    hypotheses: Sequence[Hypothesis],
+    null: ModelFit,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    seed: int,
+    starts: Mapping[str, Sequence[Sequence[float]]],
+    options: SearchOptions,
+    progress: Progress | None,
+) -> list[ModelFit]:
+    """Fits of hypotheses that have the same nuisances, those of a batch."""
+    rows = [h.starts(null, starts.get(h.effects[-1].name) if h.effects else None) for h in hypotheses]
     beliefs = tuple(h.belief for h in hypotheses)
-    belief, options = Belief(beliefs, torch.zeros(len(beliefs), dtype=torch.float64)), options or SearchOptions()
-    nuisances = [null.nuisances] * len(rows)
+    belief = Belief(beliefs, torch.zeros(len(beliefs), dtype=torch.float64))
+    nuisances = [deviating(null, hypothesis) for hypothesis in hypotheses]
     search = partial(_descend, belief, batch, simulator, seed=seed, starts=rows, nuisances=nuisances, progress=progress)
     found = search(options=options)
     if overdispersion(null, batch) > _FAR:
         lowest = min(options.known_cost, *(fit.cost for fit in found))
         masked = search(options=replace(options, mask_collapses=True, rival=lowest))
-        found = [_lower(*pair, options) for pair in zip(found, masked, strict=True)]
-    return {h.name: fit for h, fit in zip(hypotheses, found, strict=True)}
+        found = [lower(*pair, options) for pair in zip(found, masked, strict=True)]
+    return found
+
+
+def deviating(fit: ModelFit, hypothesis: Hypothesis) -> Tensor:
+    """Nuisances ``E x w`` of a fit for another hypothesis: deviations of what it does not hold begin at zero."""
+    count = len(NUISANCES)
+    known, own = (list(gel_sds(hypothesis.base, names)) for names in (fit.prior.names, hypothesis.belief.names))
+    nuisances = torch.nn.functional.pad(fit.nuisances[:, :count], (0, len(own) if hypothesis.own_gels else 0))
+    if hypothesis.own_gels and fit.nuisances.shape[1] > count:
+        both = [name for name in own if name in known]
+        at, of = ([count + names.index(name) for name in both] for names in (own, known))
+        nuisances[:, at] = fit.nuisances[:, of]
+    return nuisances
 
 
 def _descend(
@@ -240,7 +314,7 @@ def finish(
     source = generator(child(seed, "beside"))
     starts = torch.stack([ended.mean + around(ended.chol, source, BESIDE) for _ in range(_AGAIN)])
     again = search(near.prior, batch, simulator, seed=child(seed, "again"), starts=[starts], nuisances=[ended.nuisances])
-    return _lower(ended, again.fits[0], options)
+    return lower(ended, again.fits[0], options)
 
 
 def as_assimilation(fit: ModelFit, batch: ExperimentBatch) -> Assimilation:

@@ -1,48 +1,65 @@
-"""Steps at which every curve has a gel of its own: what is left then is no difference between gels.
+"""Gels of their own from the fits of single curves: from there a fit finds them where one gel for all curves is far off.
 
-No effect of one gel explains two, so their stepwise selection ends far from the noise where the gel differs from shot to shot.
-Curves by themselves show what is left without that (:mod:`imr_torch.gap.scatter`). Held-out curves are predicted with the gel
-of the fit and, as further nuisances, its differences with the scatter found: so what such a step closes there holds what
-the held-out curve itself says of its gel, as it does of its Rmax and time zero.
+Where the gel differs much between curves, the fit of one gel has its collapses on the wrong side of frames in all of them, and
+a search that begins there ends in a local minimum. Each curve by itself is fitted well.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
 
-from imr_torch.assimilate import ModelFit
-from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.prediction import with_scatter
-from imr_torch.gap.scatter import GelScatter
-from imr_torch.gap.stepwise import SelectionStep, left_over
+from imr_torch.assimilate import ModelFit, assimilate
+from imr_torch.gap.hypotheses import Hypothesis, deviating, finish
+from imr_torch.material import Belief
+from imr_torch.observe import NUISANCES, ExperimentBatch
+from imr_torch.random import child, generator
+from imr_torch.simulate import Simulator
+
+_APART = 0.5  # prior standard deviations between the starts of a curve's own fit
 
 
-def own_gel_steps(scatter: GelScatter, report: GapReport) -> tuple[SelectionStep, ...]:
-    """A step for the base model and one for the best effect, each with a gel of its own for every curve.
+def fit_alone(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int) -> tuple[ModelFit, ...]:
+    """Each experiment by itself, from the fit to all and from points beside it."""
+    belief, found = Belief((fit.prior,), torch.zeros(1, dtype=torch.float64)), []
+    for e, experiment in enumerate(batch.experiments):
+        own = child(seed, "alone", experiment.label)
+        beside = _APART * torch.randn(2, len(fit.mean), generator=generator(own), dtype=torch.float64)
+        starts = torch.cat((fit.mean[None], fit.mean + beside))
+        one = ExperimentBatch((experiment,), batch.noise)
+        nuisances = [fit.nuisances[e : e + 1]]
+        alone = assimilate(belief, one, simulator, seed=own, starts=[starts], nuisances=nuisances, warn=False).fits[0]
+        found.append(alone if alone.certificate.converged else finish(alone, one, simulator, seed=child(own, "finish")))
+    return tuple(found)
 
-    Their fit holds the parameters that are common to all curves, and the predictions of each curve's own fit; the p-value of
-    their gap test is that of :class:`imr_torch.gap.scatter.GelScatter`, of its leading hypothesis.
+
+def as_one_fit(fit: ModelFit, alone: Sequence[ModelFit], sds: Mapping[str, float]) -> ModelFit:
+    """A fit to all experiments, moved to where the gels of single ones are: a start, not a fit.
 
     Args:
-        scatter: the comparison of gels.
-        report: the diagnosis.
+        fit: the base model's, of one gel.
+        alone: fit of each experiment by itself, of the same model.
+        sds: as of :func:`imr_torch.gap.hypotheses.gel_sds`.
+
+    Returns:
+        The fit with the mean gel, and with the nuisances of the experiments and the deviations of their gels.
     """
-    joint = {with_scatter(name): report.fits[name] for name in ("none", scatter.rival) if name in report.fits}
-    steps = []
-    for name, alone in scatter.alone.items():
-        fit = _together(joint[name], alone)
-        gained = scatter.explained[name]
-        test = replace(report.gap, p_value=scatter.adequacy_p)
-        steps.append(SelectionStep(tuple(name.split("+")), fit, gained, test, left_over(fit, report.batch)))
-    return tuple(steps)
+    gels = torch.stack([own.mean for own in alone])
+    columns = [fit.prior.names.index(name) for name in sds]
+    logs = fit.prior.physical(gels)[:, columns].log()
+    deviations = (logs - fit.prior.physical(gels.mean(0))[columns].log()) / torch.tensor([*sds.values()], dtype=torch.float64)
+    nuisances = torch.cat([own.nuisances[:, : len(NUISANCES)] for own in alone])
+    return replace(fit, mean=gels.mean(0), nuisances=torch.cat((nuisances, deviations), 1))
 
 
-def _together(joint: ModelFit, alone: tuple[ModelFit, ...]) -> ModelFit:
-    """A fit to all curves with the predictions, nuisances and certificates of the curves' own fits."""
-    prediction = joint.prediction.clone()
-    for row, own in zip(prediction, alone, strict=True):
-        row[: own.prediction.shape[1]] = own.prediction[0]
-    certificate = replace(joint.certificate, converged=all(own.certificate.converged for own in alone))
-    nuisances = torch.cat([own.nuisances for own in alone])
-    cost = sum(own.cost for own in alone)
-    return replace(joint, prediction=prediction, nuisances=nuisances, cost=cost, certificate=certificate, sample=None)
+def with_gels_of(fit: ModelFit, gels: ModelFit, hypothesis: Hypothesis) -> ModelFit:
+    """A fit with effects, moved to the gels of a fit without them: a start, not a fit.
+
+    Args:
+        fit: where all experiments have one gel.
+        gels: where they differ, without effects.
+        hypothesis: that of ``fit`` with gels that differ; its effects are of the same strength in all experiments.
+    """
+    mean = fit.mean.clone()
+    mean[[fit.prior.names.index(name) for name in gels.prior.names]] = gels.mean
+    return replace(fit, mean=mean, nuisances=deviating(gels, hypothesis))

@@ -4,19 +4,19 @@ A part that was not run is None, and the report lists it as not run.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from imr_torch.assimilate import ModelFit
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.acts import WhereItActs, where_it_acts
 from imr_torch.gap.attribute import Attribution, Inquiry
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.forecast import plan_of, unknown_like
-from imr_torch.gap.hypotheses import Hypothesis
+from imr_torch.gap.hypotheses import GEL_SCATTER, Hypothesis, gel_sds
 from imr_torch.gap.identity_design import NextDesign, identity_design
 from imr_torch.gap.latent import LatentPressure, latent_pressure
 from imr_torch.gap.locate import ByExperiment, Onset, by_experiment, onset
-from imr_torch.gap.own_gels import own_gel_steps
-from imr_torch.gap.prediction import hold_out, with_scatter
+from imr_torch.gap.prediction import hold_out
 from imr_torch.gap.scatter import GelScatter, gel_scatter
 from imr_torch.gap.shrinkage import Shrinkage, judge
 from imr_torch.gap.stepwise import StepwiseSelection, select_stepwise, with_held_out
@@ -104,7 +104,8 @@ def examine(
         progress("location, shrinkage, next design")
     here = (fit, line, batch, simulator)
     scatter = gel_scatter(report, simulator, seed=child(seed, "scatter"))
-    selection, shrunk = closed_by(report, simulator, unseen, most=most, seed=seed, scatter=scatter, progress=progress)
+    alone = scatter.alone[GEL_SCATTER] if scatter else None
+    selection, shrunk = closed_by(report, simulator, unseen, most=most, seed=seed, alone=alone, progress=progress)
     return Parts(
         onset=onset(*here, seed=child(seed, "onset"), directions=directions),
         by_experiment=by_experiment(*here, seed=child(seed, "experiments"), directions=directions),
@@ -134,7 +135,7 @@ def closed_by(
     *,
     most: int = MOST,
     seed: int = 0,
-    scatter: GelScatter | None = None,
+    alone: Sequence[ModelFit] | None = None,
     progress: Progress | None = None,
 ) -> tuple[StepwiseSelection, Shrinkage | None]:
     """The stepwise selection, and the reduction of the gap by the named cause beside its best rival, None without a cause.
@@ -147,7 +148,7 @@ def closed_by(
         unseen: as of :func:`examine`.
         most: effects that the stepwise selection adds, at most.
         seed: of fits and bootstrap.
-        scatter: the gels of single curves, for steps at which each has its own.
+        alone: the base model's fit of each experiment by itself; made here where they are needed and not given.
         progress: called with one line per step.
     """
     effects = tuple(LIBRARY[name] for name in report.directions)
@@ -155,9 +156,8 @@ def closed_by(
     tested = {step.winner: step.left for step in report.steps if step.left}
     own = child(seed, "ladder")
     selection = select_stepwise(
-        inquiry, report.null, report.gap, report.fits, tested=tested, most=most, seed=own, progress=progress
+        inquiry, report.null, report.gap, report.fits, tested=tested, alone=alone, most=most, seed=own, progress=progress
     )
-    selection = replace(selection, own_gels=own_gel_steps(scatter, report) if scatter else ())
     if not unseen and len(report.batch.experiments) < 2:
         return selection, None
     names, found = ["none"], report.attribution
@@ -165,13 +165,11 @@ def closed_by(
     if found is not None and report.verdict in ("effect", "class"):
         rival = _best_rival(report, found)
         names += [found.winner, *([rival] if rival else [])]
-    fits = {name: report.fits[name] for name in names} | {step.name: step.fit for step in selection.steps}
+    fits = {name: report.fits[name] for name in names} | {step.name: step.fit for step in selection.judged}
     apart = ExperimentBatch(tuple(unseen), report.batch.noise) if unseen else None
-    own, sds = child(seed, "shrinkage"), {}
-    if scatter:
-        for name in ("none", scatter.rival):
-            fits[name], sds[name] = report.fits[name], scatter.sds[with_scatter(name)]
-    held = hold_out(fits, report.batch, simulator, seed=own, unseen=apart, scatters=sds, progress=progress)
+    own, base = child(seed, "shrinkage"), report.null.prior
+    sds = {step.name: gel_sds(base, step.fit.prior.names) for step in selection.judged if GEL_SCATTER in step.effects}
+    held = hold_out(fits, report.batch, simulator, seed=own, unseen=apart, gel_sds=sds, progress=progress)
     selection = with_held_out(selection, held, seed=own)
     if len(names) == 1:
         return selection, None

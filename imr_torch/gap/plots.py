@@ -17,6 +17,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.acts import WhereItActs
+from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.latent import LatentPressure
 from imr_torch.gap.locate import Onset
 from imr_torch.gap.shrinkage import Shrinkage
@@ -253,7 +254,7 @@ def plot_selection(steps: Sequence[DrawnStep], *, ax: Axes | None = None) -> Axe
         closed = "" if step.closed is None else "\ncloses {1:.2f} ({0:.2f} to {2:.2f})".format(*step.closed)
         behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
         ax.text(step.misfit + 0.03 * top, place, f"{step.misfit:.4f}{closed}", va="center", fontsize=7, bbox=behind)
-    names = ["base model", *("+ " + plain(_added(a, b), 40) for a, b in itertools.pairwise(steps))]
+    names = ["base model", *("+ " + plain(_added(a, b), 50) for a, b in itertools.pairwise(steps))]
     ax.set_yticks(places, names, fontsize=8)
     ax.set(xlabel="misfit in $R^*$ (root mean square, beyond noise)", xlim=(0.0, 2.1 * top), ylim=(-0.6, len(steps) - 0.4))
     ax.legend(frameon=False, fontsize=7, loc="lower right")
@@ -264,7 +265,7 @@ def _added(before: DrawnStep, after: DrawnStep) -> str:
     """What one step has that the one before has not, and what it dropped."""
     added = [name for name in after.effects if name not in before.effects]
     dropped = [name for name in before.effects if name not in after.effects]
-    return ", ".join(added) + (f", without {', '.join(dropped)}" if dropped else "")
+    return ", ".join(map(in_words, added)) + (f", without {', '.join(map(in_words, dropped))}" if dropped else "")
 
 
 def plot_shift(base: ModelFit, after: ModelFit, *, ax: Axes | None = None) -> Axes:

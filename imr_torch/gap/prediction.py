@@ -7,7 +7,7 @@ several minima.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int, Shaped
@@ -30,9 +30,6 @@ _REACH, _MOST_STARTS = 3.0, 30  # standard deviations of time zero that are scan
 _SETTLED = 0.01  # nats that another step is expected to gain, below which they are fitted
 _DAMPING, _EASED, _STIFFER = 1e-3, 0.1, 10.0  # of the first step, over the Hessian; factors on it after a good and a bad step
 _OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0, polish=False)  # .05 nats: below training noise
-_NONE = "none"
-GEL_SCATTER = "gel_scatter"
-"""Name of the hypothesis that the gel differs between designs."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +38,8 @@ class HeldOut:
 
     Args:
         residual: ``n_t`` tensor, data less prediction at the fitted gel.
-        by_nuisance: ``n_t x c`` tensor, change of the prediction by each nuisance of the design, differences of its gel among
-            them where it may have one of its own.
+        by_nuisance: ``n_t x c`` tensor, change of the prediction by each nuisance of the design, deviations of its gel among
+            them where it has one of its own.
         log_density: ``n_t`` tensor, log predictive density of each frame of the mean curve given those before it, nats.
         square: sum of the squared predictive residuals; chi-square with as many degrees of freedom as frames.
         counts: ``n_t`` tensor, curves behind each frame of the mean.
@@ -69,7 +66,7 @@ def hold_out(
     *,
     seed: int,
     unseen: ExperimentBatch | None = None,
-    scatters: Mapping[str, Float[Tensor, "_"]] | None = None,
+    gel_sds: Mapping[str, Mapping[str, float]] | None = None,
     progress: Progress | None = None,
 ) -> dict[str, list[HeldOut]]:
     """Predictions of designs by hypotheses whose fits did not see them, in the order of the designs.
@@ -80,15 +77,17 @@ def hold_out(
         simulator: makes the bubbles.
         seed: of the starts.
         unseen: designs that were held out before anything was fitted; those of the batch are then not held out.
-        scatters: name of a hypothesis -> ``d`` tensor, standard deviations in controls by which the gel of each design may
-            differ from the fitted one; it is judged with them too, under its name with ``gel_scatter``.
+        gel_sds: name of a hypothesis -> parameter -> standard deviation of its logarithm between designs
+            (``ExperimentBatch.gel_sds``); none for those that it does not name.
         progress: called with one line per step.
     """
+    differing = gel_sds or {}
+
+    def seen(name: str, part: ExperimentBatch) -> ExperimentBatch:
+        return replace(part, gel_sds=differing.get(name, {}))
 
     def predicted(fits: Mapping[str, ModelFit], part: ExperimentBatch) -> dict[str, HeldOut]:
-        found = {name: held_out(fit, part, simulator) for name, fit in fits.items()}
-        more = {with_scatter(name): held_out(fits[name], part, simulator, sds) for name, sds in (scatters or {}).items()}
-        return found | more
+        return {name: held_out(fit, seen(name, part), simulator) for name, fit in fits.items()}
 
     if unseen is not None:
         parts = [predicted(fits, _part(unseen, [i])) for i in range(len(unseen.experiments))]
@@ -97,31 +96,26 @@ def hold_out(
     found: dict[int, dict[str, HeldOut]] = {}
     for number, out in enumerate(default_folds(count)):
         training = [i for i in range(count) if i not in out]
-        trained = _train(fits, training, batch, simulator, child(seed, "fold", number))
+        own = child(seed, "fold", number)
+        trained = _train({name: fit for name, fit in fits.items() if name not in differing}, training, batch, simulator, own)
+        for name in differing:
+            trained |= _train({name: fits[name]}, training, seen(name, batch), simulator, own)
         found |= {i: predicted(trained, _part(batch, [i])) for i in out}
         if progress:
             progress(f"shrinkage: judged on {', '.join(batch.experiments[i].label for i in out)}")
     return {name: [found[i][name] for i in range(count)] for name in found[0]}
 
 
-def with_scatter(name: str) -> str:
-    """Name of a hypothesis under which every design has a gel of its own.
-
-    >>> from imr_torch.gap.prediction import with_scatter
-    >>> with_scatter("none"), with_scatter("clock")
-    ('gel_scatter', 'clock+gel_scatter')
-    """
-    return GEL_SCATTER if name == _NONE else f"{name}+{GEL_SCATTER}"
-
-
 def _part(batch: ExperimentBatch, chosen: Sequence[int]) -> ExperimentBatch:
-    return ExperimentBatch(tuple(batch.experiments[i] for i in chosen), batch.noise)
+    return replace(batch, experiments=tuple(batch.experiments[i] for i in chosen))
 
 
 def _train(
     fits: Mapping[str, ModelFit], designs: Sequence[int], batch: ExperimentBatch, simulator: Simulator, seed: int
 ) -> dict[str, ModelFit]:
-    """Fits of all hypotheses to the training designs, in one batch, each from starts near its fit to all designs."""
+    """Fits of hypotheses to the training designs, in one batch, each from starts near its fit to all designs."""
+    if not fits:
+        return {}
     source = generator(seed)
     starts = []
     for fit in fits.values():
@@ -134,35 +128,30 @@ def _train(
     return dict(zip(fits, found.fits, strict=True))
 
 
-def held_out(
-    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, scatter: Float[Tensor, "controls"] | None = None
-) -> HeldOut:
+def held_out(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> HeldOut:
     """Predict a design that a fit did not see; its nuisances are fitted with the gel held, by their priors.
 
     Args:
         fit: the training fit.
-        batch: the held-out design, alone.
+        batch: the held-out design, alone, with the deviation of its gel among its nuisances where it has one of its own.
         simulator: makes the bubbles.
-        scatter: ``d`` tensor, standard deviations in controls by which the gel of this design may differ from the fitted
-            one; these differences are then fitted with the nuisances. One gel for all designs when not given.
 
     Returns:
         Residuals at the fitted gel, and the predictive density with gel and nuisances integrated out (linearised).
     """
-    size, columns = len(fit.mean), (batch.nuisance_sds > 0.0).any(0)
-    spread = torch.zeros(size, dtype=torch.float64) if scatter is None else scatter
-    own, count, data = spread > 0.0, int(columns.sum()), batch.mask.numel()
-    moved = torch.zeros(count + int(own.sum()), dtype=torch.float64)  # nuisances, then differences of the gel, standardised
-    moved[:count] = _start(Posterior(fit.prior, batch, simulator), fit.mean)[columns]
+    size, columns, data = len(fit.mean), (batch.nuisance_sds > 0.0).any(0), batch.mask.numel()
+    posterior = Posterior(fit.prior, batch, simulator)
 
     def at(moved: Tensor) -> tuple[Linearisation, Tensor, Tensor]:
-        nuisances, gel = torch.zeros(1, 3, dtype=torch.float64), fit.mean.clone()
-        nuisances[0, columns], gel[own] = moved[:count], gel[own] + spread[own] * moved[count:]
-        line = linearise_at(Point(gel, nuisances), fit.prior, batch, simulator)
-        slopes = line.fitted[:data]
-        return line, slopes[:, :size], torch.cat((slopes[:, size:], slopes[:, :size][:, own] * spread[own]), 1)
+        nuisances = torch.zeros_like(batch.nuisance_sds)
+        nuisances[0, columns] = moved
+        line = linearise_at(Point(fit.mean, nuisances), fit.prior, batch, simulator)
+        return line, line.fitted[:data, :size], line.fitted[:data, size:]
 
-    moved, (line, by_gel, by_own) = _most_probable(at, moved, batch)
+    likely = fit.nuisances[:, len(NUISANCES) :]  # the gel of any curve of the fit, where they have gels of their own
+    places = torch.cat((torch.zeros_like(likely[:1]), likely)) if likely.numel() else likely[:1]
+    found = [_most_probable(at, _start(posterior, fit.mean, own)[columns], batch) for own in places]
+    moved, (line, by_gel, by_own), _ = min(found, key=lambda end: end[2])
     residual = line.residual[:data]
     # the predictive mean is at the fitted gel and the prior mean of the nuisances
     centred = residual + by_own @ moved
@@ -177,15 +166,16 @@ def held_out(
     return HeldOut(residual, by_own, density, square, counts, sound, by_gel @ fit.chol, phase)
 
 
-def _start(posterior: Posterior, gel: Tensor) -> Tensor:
-    """Three standardised nuisances from which to descend: time zero where its cost is lowest at a gel, the others at zero.
+def _start(posterior: Posterior, gel: Tensor, deviations: Tensor) -> Tensor:
+    """Standardised nuisances from which to descend: time zero where its cost is lowest at a gel with its own deviations.
 
     A frame next to a collapse makes the cost of time zero have several minima.
     """
     batch = posterior.batch
     sd, interval = float(batch.nuisance_sds[0, _TIME_ZERO]), float(batch.times[0].diff().abs().median())
     count = 2 * min(math.ceil(2.0 * _REACH * sd / interval), _MOST_STARTS) + 1 if sd > 0.0 else 1
-    tried = torch.zeros(count, 1, 3, dtype=torch.float64)
+    tried = posterior.still(count)
+    tried[:, 0, len(NUISANCES) :] = deviations
     tried[:, 0, _TIME_ZERO] = torch.linspace(-_REACH, _REACH, count, dtype=torch.float64) if count > 1 else 0.0
     cost = -posterior.log_joint(Point(gel.expand(count, -1), tried)).nan_to_num(nan=-math.inf)
     return tried[int(cost.argmin()), 0]
@@ -195,8 +185,13 @@ _At = Callable[[Tensor], tuple[Linearisation, Tensor, Tensor]]
 """Standardised nuisances to local sensitivities, those to the gel (``n_t x d``), and those to the nuisances (``n_t x c``)."""
 
 
-def _most_probable(at: _At, moved: Tensor, batch: ExperimentBatch) -> tuple[Tensor, tuple[Linearisation, Tensor, Tensor]]:
-    """Standardised nuisances of the lowest cost near some, by damped Gauss-Newton steps that lower it, and what holds there."""
+def _most_probable(
+    at: _At, moved: Tensor, batch: ExperimentBatch
+) -> tuple[Tensor, tuple[Linearisation, Tensor, Tensor], float]:
+    """Standardised nuisances of the lowest cost near some, what holds there, and that cost.
+
+    By damped Gauss-Newton steps that lower the cost.
+    """
 
     def cost(moved: Tensor, line: Linearisation) -> float:
         value = 0.5 * moved.square().sum() - batch.log_likelihood(line.prediction).sum()
@@ -217,4 +212,4 @@ def _most_probable(at: _At, moved: Tensor, batch: ExperimentBatch) -> tuple[Tens
         damping *= _EASED if lower else _STIFFER
         if lower:
             moved, here, lowest = moved + step, there, value
-    return moved, here
+    return moved, here, lowest

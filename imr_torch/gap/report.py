@@ -16,6 +16,7 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.design import Plan
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
+from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.verdict import OTHER, VERDICT_ODDS
 from imr_torch.goodness.score import ADEQUATE, LEVEL, BlockResult
@@ -344,8 +345,8 @@ def _selection(parts: Parts) -> tuple[str, ...]:
     if (selection := parts.selection) is None:
         return ("Not computed, because no gap was found.",)
     lines = [str(selection)]
-    for step in (*selection.steps, *selection.own_gels):
-        name = " and ".join(step.effects).replace("gel_scatter", "a gel of its own for each curve") or "the base model alone"
+    for step in selection.judged:
+        name = " and ".join(map(in_words, step.effects)) or "the base model alone"
         line = f"{name}: misfit {step.misfit:.4f} in R* beside noise of {step.noise:.4f}"
         if step.closed is not None:
             low, middle, high = step.closed
@@ -354,8 +355,10 @@ def _selection(parts: Parts) -> tuple[str, ...]:
             line += f", predicts held-out curves {step.log_score[0]:+.1f} +- {step.log_score[1]:.1f} nats better"
         lines.append(f"{line}; adequacy {p_value(step.test.p_value)}{'' if step.converged else '; a fit has not converged'}.")
         if step.alternatives:
-            lines.append(f"Not clearly worse in place of {step.effects[-1]}: {', '.join(step.alternatives)}.")
-    lines += [f"{' and '.join(name.split('+'))} was no step, since its fit did not converge." for name in selection.unsettled]
+            others = ", ".join(map(in_words, step.alternatives))
+            lines.append(f"Not clearly worse in place of {in_words(step.added)}: {others}.")
+    unsettled = (" and ".join(map(in_words, name.split("+"))) for name in selection.unsettled)
+    lines += [f"{name} was no step, since its fit did not converge." for name in unsettled]
     return tuple(lines)
 
 

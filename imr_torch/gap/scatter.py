@@ -11,25 +11,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, assimilate
+from imr_torch.assimilate import ModelFit
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.hypotheses import EXPLAINS, finish, laplace_evidence
-from imr_torch.gap.prediction import GEL_SCATTER, with_scatter
+from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, laplace_evidence
+from imr_torch.gap.own_gels import fit_alone
 from imr_torch.goodness.score import ADEQUATE
 from imr_torch.labels import p_value
-from imr_torch.material import LIBRARY, Belief, Effect
+from imr_torch.material import LIBRARY, Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.population import SCALE, GaussianShots, coordinate_units
 from imr_torch.population.quadrature import MOST, any_scatter, cells
 from imr_torch.population.result import quantiles
-from imr_torch.random import child, generator
+from imr_torch.random import child
 from imr_torch.simulate import Simulator
-
-_APART = 0.5  # prior standard deviations between the starts of a curve's own fit
 
 
 @dataclass(frozen=True)
@@ -45,7 +41,6 @@ class GelScatter:
         adequacy_p: that no curve has a gap at its own fit, by the smallest p-value times the number of curves.
         converged: whether the fits of all curves have.
         alone: hypothesis with scatter -> fit of each curve by itself.
-        sds: hypothesis with scatter -> ``d`` tensor, median scatter of each control; 0 for those that do not vary.
     """
 
     explained: Mapping[str, float]
@@ -55,7 +50,6 @@ class GelScatter:
     adequacy_p: float
     converged: bool
     alone: Mapping[str, tuple[ModelFit, ...]] = field(default_factory=dict)
-    sds: Mapping[str, Float[Tensor, "controls"]] = field(default_factory=dict)
 
     @property
     def adequate(self) -> bool:
@@ -133,11 +127,11 @@ def gel_scatter(report: GapReport, simulator: Simulator, *, scale: float = SCALE
     found, base = report.attribution, laplace_evidence(report.null)
     tried = {GEL_SCATTER: report.null}
     explained, rival = {}, "none"
-    if found is not None:
+    if found is not None and found.winner != rival:
         rival = found.winner
-        tried[with_scatter(rival)] = found.fits[rival]
+        tried[f"{rival}+{GEL_SCATTER}"] = found.fits[rival]
         explained[rival] = laplace_evidence(found.fits[rival]) - base
-    alone, scatter, sds = {}, {}, {}
+    alone, scatter = {}, {}
     for name, fit in tried.items():
         alone[name] = fit_alone(fit, batch, simulator, seed=child(seed, name))
         shots = GaussianShots.of_fits(alone[name], [laplace_evidence(x) for x in alone[name]])
@@ -147,28 +141,11 @@ def gel_scatter(report: GapReport, simulator: Simulator, *, scale: float = SCALE
         grid = cells(shots, fit.prior, scales)
         columns = [(n, fit.prior.names.index(n)) for n in names]
         scatter[name] = {n: _interval(grid.middle[:, i] * units[i], grid.weights) for n, i in columns}
-        sds[name] = torch.zeros(len(fit.prior.names), dtype=torch.float64)
-        for n, i in columns:
-            sds[name][i] = scatter[name][n][1] / float(units[i])
     leading = max(tried, key=lambda name: explained[name] + (EXPLAINS if name == GEL_SCATTER else 0.0))
     effects = tuple(LIBRARY[name] for name in report.directions if name in LIBRARY)
     p = _adequacy(alone[leading], effects, batch, simulator, seed=child(seed, "adequacy"))
     converged = all(fit.certificate.nearly_converged for fit in alone[leading])
-    return GelScatter(explained, leading, rival, scatter[leading], p, converged, alone, sds)
-
-
-def fit_alone(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int) -> tuple[ModelFit, ...]:
-    """Each experiment by itself, from the fit to all and from points beside it."""
-    belief, found = Belief((fit.prior,), torch.zeros(1, dtype=torch.float64)), []
-    for e, experiment in enumerate(batch.experiments):
-        own = child(seed, "alone", experiment.label)
-        beside = _APART * torch.randn(2, len(fit.mean), generator=generator(own), dtype=torch.float64)
-        starts = torch.cat((fit.mean[None], fit.mean + beside))
-        one = ExperimentBatch((experiment,), batch.noise)
-        nuisances = [fit.nuisances[e : e + 1]]
-        alone = assimilate(belief, one, simulator, seed=own, starts=[starts], nuisances=nuisances, warn=False).fits[0]
-        found.append(alone if alone.certificate.converged else finish(alone, one, simulator, seed=child(own, "finish")))
-    return tuple(found)
+    return GelScatter(explained, leading, rival, scatter[leading], p, converged, alone)
 
 
 def _interval(values: torch.Tensor, weights: torch.Tensor) -> tuple[float, float, float]:

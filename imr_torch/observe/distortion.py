@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.material import PARAMETERS, Effect, Parameter, TruncatedNormal, register_effect
+from imr_torch.simulate import EARLIEST
 
 
 def _error(name: str, meaning: str, lower: float, upper: float) -> Parameter:
@@ -176,9 +177,12 @@ class Distortion:
         return radius * (1.0 + self.refraction[..., None] * radius)
 
     def _averaged(self, times: Tensor, simulate: Callable[[Tensor], Tensor]) -> Tensor:
-        """Mean over an exposure centred on each frame, by Gauss-Legendre; one call for the frames and all nodes."""
-        instant = self.blur < _INSTANT
-        blur = torch.where(instant, 1e-3, self.blur)[..., None, None]  # these members only need distinct times
+        """Mean over an exposure centred on each frame, by Gauss-Legendre; one call for the frames and all nodes.
+
+        NaN where an exposure reaches back to before the bubble is simulated.
+        """
+        instant, early = self.blur < _INSTANT, times[..., 0] - 0.5 * self.blur < EARLIEST
+        blur = torch.where(instant | early, 1e-3, self.blur)[..., None, None]  # these members only need distinct times
         nodes = times[..., None] + 0.5 * blur * _NODES.to(times)
         every = torch.cat((times[..., None], nodes), -1).flatten(-2)
         rising, order = every.sort(-1)
@@ -186,4 +190,4 @@ class Distortion:
         radius = simulate(rising)
         radius = radius.gather(-1, place.expand(radius.shape)).unflatten(-1, (-1, 1 + len(_NODES)))
         mean = 0.5 * (radius[..., 1:] * _WEIGHTS.to(times)).sum(-1)
-        return torch.where(instant[..., None], radius[..., 0], mean)
+        return torch.where(early[..., None], torch.nan, torch.where(instant[..., None], radius[..., 0], mean))

@@ -5,7 +5,7 @@ number of frames, so that any number of experiments is one tensor; :func:`predic
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar
@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.material import PARAMETERS
 from imr_torch.observe.collapse import CollapseTime, predict_collapse
 from imr_torch.observe.distortion import EXPOSURE_BLUR, Distortion
 from imr_torch.observe.noise import Noise, previous
@@ -167,6 +168,8 @@ class ExperimentBatch:
         experiments: the experiments: curves, and shots of which the collapse time alone is known (one frame, whose value is a
             time with an error of its own).
         noise: the law of the observation noise of curves.
+        gel_sds: parameter -> standard deviation of its logarithm between experiments, each of which then has a gel of its own:
+            the deviations are nuisances, beside those of the experiments. One gel in all experiments where empty.
 
     >>> import torch
     >>> from imr_torch.observe import Experiment, ExperimentBatch
@@ -179,10 +182,15 @@ class ExperimentBatch:
 
     experiments: tuple[Experiment | CollapseTime, ...]
     noise: Noise = field(default_factory=Noise)
+    gel_sds: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.experiments:
             raise InputDataError("At least one experiment is needed.")
+        for name, sd in self.gel_sds.items():
+            PARAMETERS[name]
+            if not 0.0 < sd < math.inf:
+                raise InputDataError(f"ExperimentBatch.gel_sds: {name} is {sd}; expected a standard deviation above 0.")
         gaps = [e.label for e in self.experiments if e.has_gaps]
         if gaps and self.noise.correlation_time > 0.0:
             raise InputDataError(
@@ -257,9 +265,10 @@ class ExperimentBatch:
         return torch.stack([x.square().sum(0) for x in padded]), torch.stack([(x * previous(x)).sum(0) for x in padded])
 
     @cached_property
-    def nuisance_sds(self) -> Float[Tensor, "experiments 3"]:
-        """``E x 3`` tensor of prior standard deviations; columns as in ``NUISANCES``."""
-        return torch.stack([e.nuisance.sds() for e in self.experiments])
+    def nuisance_sds(self) -> Float[Tensor, "experiments nuisances"]:
+        """``E x w`` tensor of prior standard deviations; columns as in ``NUISANCES``, then in ``gel_sds``."""
+        own = torch.tensor([*self.gel_sds.values()], dtype=torch.float64).expand(len(self.experiments), -1)
+        return torch.cat((torch.stack([e.nuisance.sds() for e in self.experiments]), own), 1)
 
     def sd(self, prediction: Float[Tensor, "*batch experiments frames"]) -> Float[Tensor, "*batch experiments frames"]:
         """Noise of one repeat at a prediction ``... x E x T``; 1 in the padding."""
@@ -329,7 +338,7 @@ def predict(
     simulator: Simulator,
     parameters: Float[Tensor, "*#batch parameters"],
     film: Film | ExperimentBatch,
-    shifts: Float[Tensor, "*#batch experiments 3"] | None = None,
+    shifts: Float[Tensor, "*#batch experiments nuisances"] | None = None,
     *,
     times: Float[Tensor, "experiments frames"] | None = None,
     bundled: bool = False,
@@ -360,20 +369,34 @@ def predict(
     """
     designs, times = film.designs, film.times if times is None else times
     exposures = film.exposures if isinstance(film, ExperimentBatch) else None
-    if isinstance(film, Film) or not bool(film.collapse.any()):
+    if isinstance(film, Film) or not (film.gel_sds or bool(film.collapse.any())):
         return _radii(simulator, parameters, designs, times, shifts, bundled, exposures)
-    parts, order = [], []
-    for rows in (torch.nonzero(~film.collapse)[:, 0], torch.nonzero(film.collapse)[:, 0]):
-        if not len(rows):
-            continue
-        own = None if shifts is None else shifts[..., rows, :]
+    parts, order = [], _alike(film)
+    for rows in order:
+        gels, own = parameters, None if shifts is None else shifts[..., rows, : len(NUISANCES)]
+        if film.gel_sds and shifts is not None:
+            gels = _own_gel(parameters, tuple(film.gel_sds), shifts[..., rows[0], len(NUISANCES) :])
         if bool(film.collapse[rows[0]]):
-            found = predict_collapse(simulator, parameters, designs[rows], film.mean[rows, 0], own, bundled=bundled)
+            found = predict_collapse(simulator, gels, designs[rows], film.mean[rows, 0], own, bundled=bundled)
             parts.append(found[..., None].expand(*found.shape, times.shape[-1]))
         else:
-            parts.append(_radii(simulator, parameters, designs[rows], times[rows], own, bundled, film.exposures[rows]))
-        order.append(rows)
+            parts.append(_radii(simulator, gels, designs[rows], times[rows], own, bundled, film.exposures[rows]))
     return torch.cat(parts, -2)[..., torch.cat(order).argsort(), :]
+
+
+def _alike(film: ExperimentBatch) -> list[Tensor]:
+    """Rows of experiments that are simulated together: of one kind and one gel."""
+    rows = torch.arange(len(film.experiments))
+    if film.gel_sds:
+        return list(rows.split(1))
+    return [part for part in (rows[~film.collapse], rows[film.collapse]) if len(part)]
+
+
+def _own_gel(parameters: Tensor, names: Sequence[str], deviations: Tensor) -> Tensor:
+    """Parameters ``... x p`` times the exponential of deviations ``... x n`` of the logarithms of some."""
+    columns = torch.tensor(PARAMETERS.index(names))
+    own = parameters[..., columns] * torch.exp(deviations)
+    return parameters.expand(*own.shape[:-1], -1).index_copy(-1, columns, own)
 
 
 def _radii(

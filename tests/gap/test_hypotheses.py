@@ -77,7 +77,7 @@ def test_that_of_two_fits_the_lower_counts_or_one_that_may_get_lower() -> None:
         return replace(ended, cost=ended.cost - ahead, certificate=certificate)
 
     def cost(one, two) -> float:
-        (found,) = {hypotheses._lower(*pair, SearchOptions()).cost for pair in ((one, two), (two, one))}
+        (found,) = {hypotheses.lower(*pair, SearchOptions()).cost for pair in ((one, two), (two, one))}
         return found - ended.cost
 
     assert cost(ended, other(1.0, 1e-4)) == pytest.approx(-1.0)

@@ -52,7 +52,7 @@ PARTS = (
     "shrinkage",
     "best_rival",
     "ladder",
-    "ladder_own_gels",
+    "ladder_differing",
     "ladder_unsettled",
     "gel_scatter",
     "next_design",

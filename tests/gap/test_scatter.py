@@ -1,20 +1,15 @@
 """Scatter of the gel as a cause: found where gels differ, not where one gel has an effect, not asked of repeats."""
 
 from dataclasses import replace
-from functools import partial
 
 import pytest
 import torch
 
 from imr_torch import PolytropicSimulator
-from imr_torch.assimilate import SearchOptions, assimilate
-from imr_torch.gap import GapReport, diagnose, library, scatter
-from imr_torch.gap.own_gels import own_gel_steps
-from imr_torch.gap.prediction import hold_out
+from imr_torch.gap import GapReport, diagnose, library
 from imr_torch.gap.scatter import GelScatter, gel_scatter
-from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection, left_over, with_held_out
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory
+from imr_torch.observe import Experiment, SimulatedLaboratory
 
 SIMULATOR = PolytropicSimulator(threads=1)
 EFFECTS = library(["gas_loss", "surface_tension"])
@@ -50,43 +45,6 @@ def test_that_gels_that_differ_are_found_and_no_gap_is_left(two_gels: tuple[GapR
     assert low < 0.3 < high  # the standard deviation of the three logarithms
     assert found.scatter["mu"][1] < 0.1
     assert "the gel differs" in " ".join(found.sentences())
-
-
-def test_that_the_fit_of_a_curve_that_did_not_converge_is_continued(
-    two_gels: tuple[GapReport, GelScatter], monkeypatch
-) -> None:
-    report, found = two_gels
-    short = SearchOptions(iterations=1, polish=False)
-    monkeypatch.setattr(scatter, "assimilate", partial(assimilate, options=short))
-    (curve,) = scatter.fit_alone(
-        report.null, ExperimentBatch(report.batch.experiments[1:2], report.batch.noise), SIMULATOR, seed=0
-    )
-    assert curve.certificate.converged
-    assert curve.cost == pytest.approx(found.alone["gel_scatter"][1].cost, abs=1e-3)
-
-
-def test_that_gels_of_their_own_close_the_gap_on_curves_that_no_fit_saw(two_gels: tuple[GapReport, GelScatter]) -> None:
-    """No effect of one gel does; and a held-out curve of the fitted gel is not predicted worse for it by much."""
-    report, found = two_gels
-    steps = own_gel_steps(found, report)
-    assert [step.name for step in steps] == ["gel_scatter", f"{found.rival}+gel_scatter"]
-    own, base = steps[0], left_over(report.null, report.batch)
-    assert own.adequate
-    assert own.converged
-    assert own.misfit**2 < 0.1 * sum(part.misfit**2 * part.frames for part in base) / sum(part.frames for part in base)
-    shots = [shot(number, {"G": G, "mu": 0.09}) for number, G in ((5, 11e3), (6, 6e3), (7, 8e3))]
-    fits, unseen = {"none": report.null}, ExperimentBatch(tuple(shots), report.batch.noise)
-    sds = {"none": found.sds["gel_scatter"]}
-    held = hold_out(fits, report.batch, SIMULATOR, seed=0, unseen=unseen, scatters=sds)
-    selection = StepwiseSelection((SelectionStep((), report.null, 0.0, report.gap, base),), (own,))
-    best = with_held_out(selection, held, seed=0).own_gels[0]
-    assert best.closed is not None
-    assert best.log_score is not None
-    assert best.closed[1] > 0.9
-    assert best.closed[0] > 0.5
-    assert best.log_score[0] > 3.0 * best.log_score[1]
-    scores = [[float(held[name][i].log_density.sum()) for name in ("none", "gel_scatter")] for i in range(3)]
-    assert scores[2][1] > scores[2][0] - 5.0  # the one of the middle gel
 
 
 def test_that_scatter_beside_an_effect_counts_the_effect_once(two_gels: tuple[GapReport, GelScatter]) -> None:

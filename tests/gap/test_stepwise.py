@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.gap import Parts, StepwiseSelection, describe, diagnose, examine, library, stepwise, to_json
+from imr_torch.gap import Parts, StepwiseSelection, additions, describe, diagnose, examine, library, to_json
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence
@@ -93,7 +93,7 @@ def test_that_an_effect_which_another_makes_superfluous_is_dropped() -> None:
 def test_that_fits_saved_by_amplitudes_far_from_zero_change_no_step(selected, monkeypatch) -> None:
     report, parts = selected
     inquiry = Inquiry(BASE, tuple(LIBRARY[name] for name in report.directions), report.batch, SIMULATOR)
-    monkeypatch.setattr(stepwise, "_CLEAR", float("inf"))  # a refit without each effect decides on every step
+    monkeypatch.setattr(additions, "_CLEAR", float("inf"))  # a refit without each effect decides on every step
     slow = select_stepwise(inquiry, report.null, report.gap, report.fits, seed=0)
     assert [step.effects for step in slow.steps] == [step.effects for step in parts.selection.steps]
     assert slow.steps[-1].test.p_value == pytest.approx(parts.selection.steps[-1].test.p_value, rel=0.5)
@@ -103,14 +103,14 @@ def test_that_a_fit_which_does_not_converge_is_no_step_and_that_the_next_best_ad
     report, parts = selected
     inquiry = Inquiry(BASE, tuple(LIBRARY[name] for name in report.directions), report.batch, SIMULATOR)
     (first,) = parts.selection.steps[1].effects
-    finished = stepwise._finished
+    finished = additions.finished
 
     def failing(fit, *rest):
         found = finished(fit, *rest)
         alone = set(fit.prior.names) - set(BASE.names) == set(LIBRARY[first].names)
         return replace(found, certificate=replace(found.certificate, converged=not alone))
 
-    monkeypatch.setattr(stepwise, "_finished", failing)
+    monkeypatch.setattr(additions, "finished", failing)
     selection = select_stepwise(inquiry, report.null, report.gap, report.fits, seed=0)
     assert selection.unsettled == (first,)
     assert selection.steps[1].effects != (first,)
@@ -135,7 +135,7 @@ def test_that_effects_which_are_not_clearly_worse_are_named_and_no_others() -> N
 
 @pytest.mark.parametrize(("behind", "named"), [(0.9, True), (1.1, False)])
 def test_that_the_misfit_that_is_left_counts_when_alternatives_are_sought(selected, monkeypatch, behind, named) -> None:
-    monkeypatch.setattr(stepwise, "_CANDIDATES", 1)  # the attribution's fits serve, though it had few
+    monkeypatch.setattr(additions, "_CANDIDATES", 1)  # the attribution's fits serve, though it had few
     report, parts = selected
     first, other = parts.selection.steps[1], report.fits["gas_loss"]
     error = misfit_in_difference(first.fit, other, report.batch)

@@ -43,3 +43,12 @@ def test_that_a_misplaced_edge_adds_to_the_nuisances_of_each_experiment() -> Non
     with_error = seen(designs, TIMES[None], both, edge_error=2e-6)
     torch.testing.assert_close(with_error, seen(designs, TIMES[None], both + own) + edge, rtol=0.0, atol=1e-12)
     assert Nuisance().sds().shape == both[0].shape
+
+
+def test_that_an_exposure_that_reaches_back_to_before_the_bubble_is_a_failed_member() -> None:
+    """A search may step there."""
+    gels = PARAMETERS.pack(GEL).repeat(2, 1)
+    gels[1, PARAMETERS.index(["exposure_blur"])[0]] = 1.8
+    found = predict(SIMULATOR, gels, Film(torch.tensor([[400.0, 0.2]], dtype=torch.float64), TIMES[None]))
+    assert bool(torch.isfinite(found[0]).all())
+    assert bool(torch.isnan(found[1]).all())
