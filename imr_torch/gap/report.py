@@ -16,7 +16,7 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.design import Plan
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.hypotheses import in_words
+from imr_torch.gap.hypotheses import GEL_SCATTER, in_words
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.verdict import OTHER, VERDICT_ODDS
 from imr_torch.goodness.score import ADEQUATE, LEVEL, BlockResult
@@ -138,6 +138,11 @@ def next_step(report: GapReport, parts: Parts | None = None) -> str:
     if report.verdict == "class":
         return (
             f"Measure {', '.join(report.cause)} by other means, or shoot another design: these curves do not tell them apart."
+        )
+    if report.verdict == "other" and parts.selection is not None and GEL_SCATTER in parts.selection.best.effects:
+        return (
+            "Do not use the parameters of one gel, since curves differ: infer the population (characterize --population), and "
+            "check Rmax, R_inf, clock and optics of each curve."
         )
     if report.verdict == "other":
         return (

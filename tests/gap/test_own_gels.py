@@ -1,6 +1,7 @@
 """Curves that differ: their gels as nuisances against separate bubbles and closed forms, and as a step of the selection."""
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -9,7 +10,7 @@ import torch
 from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
 from imr_torch.errors import InputDataError
-from imr_torch.gap import additions, diagnose, library, own_gels
+from imr_torch.gap import Parts, additions, describe, diagnose, library, own_gels
 from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.hypotheses import (
     GEL_SCATTER,
@@ -23,6 +24,7 @@ from imr_torch.gap.hypotheses import (
 )
 from imr_torch.gap.own_gels import as_one_fit, fit_alone, with_gels_of
 from imr_torch.gap.parts import closed_by
+from imr_torch.gap.report import next_step
 from imr_torch.goodness.linear import linearise
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory, predict
@@ -180,6 +182,14 @@ def test_that_gels_that_differ_are_a_step_and_close_the_gap_on_curves_that_no_fi
     assert only.closed[0] > 0.5
     assert only.log_score[0] > 3.0 * only.log_score[1]
     assert str(selection).startswith("differences between curves close")
+
+
+def test_that_a_report_of_curves_that_differ_sends_to_the_population(selected) -> None:
+    report, selection = selected
+    said = replace(report, verdict="other")
+    assert "characterize --population" in next_step(said, Parts(selection=selection))
+    assert "characterize --population" not in next_step(said, Parts(selection=replace(selection, steps=selection.steps[:1])))
+    assert "differences between curves: misfit" in describe(report, Parts(selection=selection))
 
 
 def test_that_gels_that_differ_are_judged_on_curves_held_out_in_turn(selected) -> None:
