@@ -1,14 +1,16 @@
-"""Are differences between curves found where there are some, and not where there are none?
+"""Are differences between curves found where there are some, and not where there are none? Do halves of a gel's curves agree?
 
   python benchmarks/differing_curves.py run --sets 120 --json differing_curves.jsonl
+  python benchmarks/differing_curves.py halves --sets 90 --json differing_curves.jsonl
   python benchmarks/differing_curves.py table --json differing_curves.jsonl
 
 `run` simulates shots of one curve each, three that are fitted and two that no fit sees, by the polytropic simulator, at Weber
 numbers of 250 to 600 and R_inf* of .18 to .28 with uncertain Rmax, time zero and R_inf. Each set has an effect of the library
 at a draw of its prior. A third of the sets are of one gel with the effect in the library (`alike`), a third of one gel with the
 effect withheld (`withheld`), and in a third G, mu and the strength of the effect scatter by 30 % between shots (`differing`).
-The stepwise selection of up to four additions says whether curves differ, and what its steps close on the unseen curves. A line
-a set is appended, so a run that was cut off continues.
+The stepwise selection of up to four additions says whether curves differ, and what its steps close on the unseen curves.
+`halves` asks two of these shots, and two others, for their first addition, as measured gels are asked. A line a set is
+appended, so a run that was cut off continues.
 """
 
 import argparse
@@ -16,6 +18,7 @@ import json
 import math
 import time
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +26,7 @@ import torch
 
 from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.errors import ImrError
-from imr_torch.gap import diagnose, library
+from imr_torch.gap import GapReport, diagnose, library
 from imr_torch.gap.hypotheses import GEL_SCATTER, SCALE
 from imr_torch.gap.parts import closed_by
 from imr_torch.material import LIBRARY, PARAMETERS
@@ -66,17 +69,36 @@ def shots_of(number: int, kind: str) -> tuple[str, dict[str, float], list[Experi
             return effect.name, drawn, shots
 
 
+def diagnosed(shots: Sequence[Experiment], kind: str, cause: str, most: int, seed: int) -> GapReport:
+    """The diagnosis of some shots of a set."""
+    effects = tuple(effect for effect in library(base="nhkv") if kind != "withheld" or effect.family != LIBRARY[cause].family)
+    base = wide_prior(("nhkv",)).models[0]
+    return diagnose(shots, base=base, effects=effects, noise=NOISE, simulator=SIMULATOR, seed=seed, most=most)
+
+
+@one_torch_thread()
+def halved(number: int) -> dict[str, Any]:
+    """The line of two halves of a set: what each adds first, and what is not clearly worse; nothing where it has no gap."""
+    kind, begun = KINDS[number % len(KINDS)], time.process_time()
+    cause, values, shots = shots_of(number, kind)
+    found = []
+    for half in (shots[0:4:2], shots[1:4:2]):
+        report = diagnosed(half, kind, cause, 1, number)
+        steps = closed_by(report, SIMULATOR, most=1, seed=number)[0].steps[1:2] if report.found else ()
+        found.append([name for step in steps for name in (step.added, *step.alternatives)])
+    row = {"task": "halves", "number": number, "kind": kind, "cause": cause, "values": values}
+    return row | {"first": found, "seconds": time.process_time() - begun}
+
+
 @one_torch_thread()
 def judged(number: int) -> dict[str, Any]:
     """The line of a set."""
     kind = KINDS[number % len(KINDS)]
     cause, values, shots = shots_of(number, kind)
-    effects = tuple(effect for effect in library(base="nhkv") if kind != "withheld" or effect.family != LIBRARY[cause].family)
     fitted, unseen, begun = shots[:FITTED], shots[FITTED:], time.process_time()
-    report = diagnose(
-        fitted, base=wide_prior(("nhkv",)).models[0], effects=effects, noise=NOISE, simulator=SIMULATOR, seed=number, most=2
-    )
-    row = {"number": number, "kind": kind, "cause": cause, "values": values, "found": report.found, "verdict": report.verdict}
+    report = diagnosed(fitted, kind, cause, 2, number)
+    row = {"task": "run", "number": number, "kind": kind, "cause": cause, "values": values}
+    row |= {"found": report.found, "verdict": report.verdict}
     if report.found:
         selection = closed_by(report, SIMULATOR, unseen, seed=number)[0]
         best = selection.best
@@ -93,20 +115,22 @@ def judged(number: int) -> dict[str, Any]:
 def run(args: argparse.Namespace) -> None:
     """Append what is missing."""
     warnings.simplefilter("ignore")
-    path = Path(args.json)
-    done = {row["number"] for row in rows(path)}
+    path, of_set = Path(args.json), judged if args.task == "run" else halved
+    done = {row["number"] for row in rows(path, args.task)}
     with path.open("a", encoding="utf-8") as stream:
         for number in range(args.sets):
             if number not in done:
-                row = judged(number)
+                row = of_set(number)
                 stream.write(json.dumps(row) + "\n")
                 stream.flush()
-                print(number, row["kind"], row["cause"], row.get("steps", [[]])[-1], f"{row['seconds']:.0f} s", flush=True)
+                said = row.get("first") or row.get("steps", [[]])[-1]
+                print(number, row["kind"], row["cause"], said, f"{row['seconds']:.0f} s", flush=True)
 
 
-def rows(path: Path) -> list[dict[str, Any]]:
-    """The lines of a record; none where there is no file."""
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
+def rows(path: Path, task: str) -> list[dict[str, Any]]:
+    """The lines of a task in a record; none where there is no file."""
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return [row for row in map(json.loads, lines) if row["task"] == task]
 
 
 def table(args: argparse.Namespace) -> None:
@@ -114,7 +138,7 @@ def table(args: argparse.Namespace) -> None:
     print("| sets | with a gap | said that curves differ | closed on unseen curves: median, 10th percentile | certified |")
     print("|---|---|---|---|---|")
     for kind in KINDS:
-        own = [row for row in rows(Path(args.json)) if row["kind"] == kind]
+        own = [row for row in rows(Path(args.json), "run") if row["kind"] == kind]
         gaps = [row for row in own if row["found"]]
         if not gaps:
             continue
@@ -126,18 +150,26 @@ def table(args: argparse.Namespace) -> None:
             f"| {kind} | {len(gaps)} of {len(own)} | {share:.2f} +- {error:.2f} | {float(closed.median()):.2f}, "
             f"{float(closed.quantile(0.1)):.2f} | {sure} of {len(gaps)} |"
         )
+    print("\n| halves of sets | an addition in both | the same first | one in common, not clearly worse ones included |")
+    print("|---|---|---|---|")
+    for kind in KINDS:
+        pairs = [row["first"] for row in rows(Path(args.json), "halves") if row["kind"] == kind]
+        both = [(one, two) for one, two in pairs if one and two]
+        same, common = sum(one[0] == two[0] for one, two in both), sum(bool({*one} & {*two}) for one, two in both)
+        print(f"| {kind} | {len(both)} of {len(pairs)} | {same} | {common} |")
 
 
 def main() -> None:
     """Parse and run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
-    work = commands.add_parser("run")
-    work.add_argument("--sets", type=int, default=120)
-    work.set_defaults(function=run)
+    for task, count in (("run", 120), ("halves", 90)):
+        work = commands.add_parser(task)
+        work.add_argument("--sets", type=int, default=count)
+        work.set_defaults(function=run, task=task)
     show = commands.add_parser("table")
     show.set_defaults(function=table)
-    for command in (work, show):
+    for command in commands.choices.values():
         command.add_argument("--json", default="differing_curves.jsonl", help="the record, one JSON line a set")
     args = parser.parse_args()
     args.function(args)
