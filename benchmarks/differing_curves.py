@@ -150,13 +150,15 @@ def table(args: argparse.Namespace) -> None:
             f"| {kind} | {len(gaps)} of {len(own)} | {share:.2f} +- {error:.2f} | {float(closed.median()):.2f}, "
             f"{float(closed.quantile(0.1)):.2f} | {sure} of {len(gaps)} |"
         )
-    print("\n| halves of sets | an addition in both | the same first | one in common, not clearly worse ones included |")
-    print("|---|---|---|---|")
+    print("\n| halves of sets | an addition in both | the same first | the same, or no addition in both | one in common (*) |")
+    print("|---|---|---|---|---|")
     for kind in KINDS:
         pairs = [row["first"] for row in rows(Path(args.json), "halves") if row["kind"] == kind]
         both = [(one, two) for one, two in pairs if one and two]
         same, common = sum(one[0] == two[0] for one, two in both), sum(bool({*one} & {*two}) for one, two in both)
-        print(f"| {kind} | {len(both)} of {len(pairs)} | {same} | {common} |")
+        neither = sum(not one and not two for one, two in pairs)
+        print(f"| {kind} | {len(both)} of {len(pairs)} | {same} | {same + neither} of {len(pairs)} | {common} |")
+    print("\n(*) Additions that are not clearly worse included.")
 
 
 def main() -> None:

@@ -20,9 +20,6 @@ ELASTIC = frozenset({"strain_stiffening", "damage", "healing_damage", "graded_mo
 MATERIAL = ELASTIC | {"stress_relaxation", "shear_thinning", "viscous_damage", "yield_stress", "density"}
 """Effects of the library that are properties of the gel, and neither of the drive nor of the contents or the camera."""
 
-SCATTER = "gel_scatter"
-"""The addition that curves differ: in their gel, and in how strong effects are."""
-
 _SOFT = 1e3  # Pa
 _LIKELY = 0.5
 
@@ -189,10 +186,8 @@ def _closed(record: Record) -> Control:
     if not rows:
         return _open(name, must)
     found = [share(best_step(row)) for row in rows]
-    alike = [max(share(step) for step in row["ladder"] if SCATTER not in step["effects"]) for row in rows]
     last = [share(row["ladder"][-1]) for row in rows]
-    value = f"median {median(found):.2f} of {len(rows)} sets; by the last step, whatever it predicts, {median(last):.2f}; "
-    value += f"by the best step at which curves do not differ {median(alike):.2f}"
+    value = f"median {median(found):.2f} of {len(rows)} sets; by the last step, whatever it predicts, {median(last):.2f}"
     return Control(name, must, value, median(found) >= 0.8)
 
 
