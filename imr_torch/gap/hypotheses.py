@@ -30,7 +30,7 @@ from imr_torch.types import Progress
 EXPLAINS = 3.0
 """Nats that an effect must explain to count as more than nothing."""
 GEL_SCATTER = "gel_scatter"
-"""Name of the hypothesis that the gel differs between experiments."""
+"""Name of the hypothesis that the gel, and with it how strong effects are, differs between experiments."""
 
 _GEL_APART = 0.25  # prior standard deviations between the starts of a fit that frees no effect
 _MANY = 6  # starts where fewer disagree

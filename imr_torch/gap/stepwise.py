@@ -3,10 +3,10 @@
 The verdict names a cause only if nothing is left unexplained. Measured curves nearly always leave something, and a laboratory
 still asks which effects close how much of it, and what remains. Each step adds the effect of largest evidence beside those
 chosen, and drops those that it makes superfluous. In the first two steps the fits of the attribution serve; later ones fit the
-effects that a score test at the step before ranks first. That the gel differs between curves (``gel_scatter``) is an addition
-like the others: no effect of one gel explains two. From then on every curve has a gel of its own, and held-out curves are
-predicted with the deviation of theirs as a further nuisance: what such a step closes there holds what the held-out curve itself
-says of its gel, as it does of its Rmax and time zero. A fit that does not converge is no step: the next best addition is tried.
+effects that a score test at the step before ranks first. That curves differ (``gel_scatter``) is an addition like the others:
+no effect of one gel explains two. From then on every curve has a gel of its own, and each effect a strength of its own in it.
+These differences are nuisances of a held-out curve too, so what such a step closes there holds what that curve itself says of
+them, as it does of its Rmax and time zero. A fit that does not converge is no step: the next best addition is tried.
 A step is a description of the data, not a cause, and other curves of the same gel may prefer another one: each step names the
 additions that are not clearly worse in place of its last one.
 """
