@@ -33,7 +33,7 @@ def deeper_nuisances(posterior: Posterior, point: Point) -> Float[Tensor, "model
         point: ``M`` points, each at a local minimum.
 
     Returns:
-        ``M x E x 3`` nuisances; those of experiments without a deeper basin are the same numbers.
+        ``M x E x w`` nuisances; those of experiments without a deeper basin are the same numbers.
     """
     movable = posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0
     if not bool(movable.any()):
@@ -51,7 +51,7 @@ def deeper_nuisances(posterior: Posterior, point: Point) -> Float[Tensor, "model
 
 
 def _lowest_places(posterior: Posterior, point: Point) -> Tensor:
-    """Nuisances ``M x _BASINS x E x 3`` at the lowest minima of each experiment's profile over time zero.
+    """Nuisances ``M x _BASINS x E x w`` at the lowest minima of each experiment's profile over time zero.
 
     At each place Rmax and R_inf take one Gauss-Newton step, and the profile is what the cost is then expected to be.
     """

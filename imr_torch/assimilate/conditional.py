@@ -28,7 +28,7 @@ def conditional_nuisances(
         chol: lower Cholesky factors of their Hessian, kept where a bubble fails.
 
     Returns:
-        Nuisances ``n x E x 3`` and Cholesky factors ``n x E x 3 x 3``.
+        Nuisances ``n x E x w`` and Cholesky factors ``n x E x w x w``.
     """
     near = posterior.neighbourhood(point, torch.zeros(posterior.size, 0, dtype=torch.float64))
     known = torch.isfinite(near.prediction).all(-1).all(1)

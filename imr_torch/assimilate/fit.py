@@ -241,7 +241,7 @@ class ModelFit:
     def nuisance_noise(
         self, noise: Float[Tensor, "*batch experiments nuisances"]
     ) -> Float[Tensor, "*batch experiments nuisances"]:
-        """Standard normal numbers ``... x E x 3`` as deviations of the nuisances given the gel."""
+        """Standard normal numbers ``... x E x w`` as deviations of the nuisances given the gel."""
         return torch.linalg.solve_triangular(self.nuisance_chol.mT, noise[..., None], upper=True)[..., 0]
 
     def parameters(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch parameters"]:

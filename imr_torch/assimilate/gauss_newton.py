@@ -1,6 +1,6 @@
 """Gauss-Newton algebra of one gel seen in several experiments, each with nuisances of its own.
 
-The controls are ``v`` (the gel, shared by all experiments) and ``w_e`` (three nuisances of experiment ``e``), all with
+The controls are ``v`` (the gel, shared by all experiments) and ``w_e`` (the nuisances of experiment ``e``), all with
 standard normal priors. The normal matrix is an arrow: nuisances of different experiments meet only through the gel, so
 they are eliminated one experiment at a time (Schur complement), and any number of experiments costs the same per piece.
 """
@@ -40,8 +40,8 @@ class NormalEquations:
         gel_gradient: prior included.
         nuisance_gradient: prior included.
         gel_hessian: Gauss-Newton Hessian, prior included.
-        nuisance_hessian: ``... x E x 3 x 3`` tensor.
-        cross: ``... x E x 3 x d`` tensor.
+        nuisance_hessian: ``... x E x w x w`` tensor.
+        cross: ``... x E x w x d`` tensor.
 
     >>> import torch
     >>> from imr_torch.assimilate import normal_equations
@@ -100,7 +100,7 @@ class NormalEquations:
     def step(
         self, damping: Float[Tensor, "*#batch"]
     ) -> tuple[Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments nuisances"]]:
-        """Levenberg-Marquardt steps of gel (``... x d``) and nuisances (``... x E x 3``) for a ``...`` damping."""
+        """Levenberg-Marquardt steps of gel (``... x d``) and nuisances (``... x E x w``) for a ``...`` damping."""
         damped = self._eliminate(damping)
         gel = -torch.linalg.solve(damped.hessian, damped.gradient[..., None])[..., 0]
         return gel, damped.nuisance_step + (damped.nuisance_response @ gel[..., None, :, None])[..., 0]
@@ -165,8 +165,8 @@ def normal_equations(
     Args:
         gel: controls ``v``.
         nuisances: controls ``w``.
-        gradients: of the negative log likelihood over ``v`` (``... x d``) and ``w`` (``... x E x 3``).
-        sensitivities: of the whitened predictions over ``v`` (``... x E x T x d``) and ``w`` (``... x E x T x 3``).
+        gradients: of the negative log likelihood over ``v`` (``... x d``) and ``w`` (``... x E x w``).
+        sensitivities: of the whitened predictions over ``v`` (``... x E x T x d``) and ``w`` (``... x E x T x w``).
 
     Returns:
         The normal equations.

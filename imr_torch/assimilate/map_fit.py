@@ -56,7 +56,7 @@ def assimilate(
             prior draws; the starts are then perturbed copies of its optimum.
         starts: per model, two or more rows of ``d`` whitened coordinates (see :class:`imr_torch.assimilate.ModelFit`) to start
             from, in place of prior draws.
-        nuisances: per model, ``E x 3`` standardised nuisances with which its starts begin; zero by default.
+        nuisances: per model, ``E x w`` standardised nuisances with which its starts begin; zero by default.
         warn: whether a fit that did not converge gives a ``ConvergenceWarning``; False where the caller reads certificates.
         progress: called with one line per iteration.
 

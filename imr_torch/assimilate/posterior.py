@@ -154,7 +154,7 @@ class Neighbourhood:
     def slopes(
         self,
     ) -> tuple[Float[Tensor, "*batch experiments frames controls"], Float[Tensor, "*batch experiments frames nuisances"]]:
-        """Sensitivities of the prediction to the gel (``batch_shape x E x T x d``) and nuisances (``batch_shape x E x T x 3``).
+        """Sensitivities of the prediction to the gel (``batch_shape x E x T x d``) and nuisances (``batch_shape x E x T x w``).
 
         Neighbours that failed give a slope of zero.
         """

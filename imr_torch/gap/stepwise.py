@@ -206,14 +206,13 @@ def select_stepwise(
         known: hypothesis -> fit, those of an attribution; what is missing is fitted.
         tested: hypothesis -> the gap test at its fit in ``known``; what is missing is tested.
         alone: the base model's fit of each experiment by itself; made here if they are asked for and not given.
-        most: effects at most.
+        most: additions at most.
         seed: of fits and tests.
         progress: called with one line per step.
     """
     batch = inquiry.batch
     fits = {frozenset(name.split("+")) - {"none"}: fit for name, fit in known.items()}
-    base = Hypothesis(inquiry.base)
-    steps, here = [SelectionStep((), null, 0.0, test, left_over(null, batch))], Here(base, null)
+    steps, here = [SelectionStep((), null, 0.0, test, left_over(null, batch))], Here(Hypothesis(inquiry.base), null)
     seen, unsettled = {frozenset[str]()}, list[str]()
     while len(here.chosen.parts) < most and not steps[-1].adequate and longer_by_one(inquiry, here.chosen):
         own, before = child(seed, "rung", len(steps)), here
@@ -231,12 +230,19 @@ def select_stepwise(
         steps.append(replace(_step(before, here, batch), alternatives=tuple(named)))
         if progress:
             progress(f"stepwise selection: {steps[-1].name}, misfit {steps[-1].misfit:.4f}")
-    differing = None
-    if (rough := fits.get(frozenset({GEL_SCATTER}))) and frozenset({GEL_SCATTER}) not in seen:
-        chosen = replace(base, own_gels=True)
-        if (fit := finished(rough, chosen, inquiry, seed)).certificate.converged:
-            differing = _step(Here(base, null), Here(chosen, fit, _left(inquiry, chosen, fit, seed)), batch)
+    rough = None if frozenset({GEL_SCATTER}) in seen else fits.get(frozenset({GEL_SCATTER}))
+    differing = None if rough is None else _differing(inquiry, null, rough, seed)
     return StepwiseSelection(tuple(steps), differing, tuple(unsettled))
+
+
+def _differing(inquiry: Inquiry, null: ModelFit, rough: ModelFit, seed: int) -> SelectionStep | None:
+    """The base model where curves differ, like a first step; None if its fit does not converge."""
+    base = Hypothesis(inquiry.base)
+    chosen = replace(base, own_gels=True)
+    fit = finished(rough, chosen, inquiry, seed)
+    if not fit.certificate.converged:
+        return None
+    return _step(Here(base, null), Here(chosen, fit, _left(inquiry, chosen, fit, seed)), inquiry.batch)
 
 
 def _left(inquiry: Inquiry, chosen: Hypothesis, fit: ModelFit, seed: int) -> Adequacy:
