@@ -20,10 +20,10 @@ from imr_torch.gap.hypotheses import (
     Hypothesis,
     finish,
     fit_hypotheses,
-    gel_sds,
     laplace_evidence,
     lower,
     promised,
+    scatters,
 )
 from imr_torch.gap.own_gels import as_one_fit, fit_alone, with_gels_of
 from imr_torch.observe import NUISANCES, ExperimentBatch
@@ -68,7 +68,7 @@ def fit_gels(inquiry: Inquiry, null: ModelFit, alone: Sequence[ModelFit] | None,
     if not _may_differ(inquiry.batch):
         return {}
     alone = alone or fit_alone(null, inquiry.batch, inquiry.simulator, seed=child(seed, "alone"))
-    apart = as_one_fit(null, alone, gel_sds(inquiry.base, inquiry.base.names))
+    apart = as_one_fit(null, alone, scatters(inquiry.base, null.prior))
     search = partial(fit_hypotheses, batch=inquiry.batch, simulator=inquiry.simulator, seed=seed)
     return {frozenset({GEL_SCATTER}): _from_both(search, hypothesis, apart, null)}
 

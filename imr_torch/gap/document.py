@@ -24,7 +24,9 @@ from imr_torch.gap.report import (
     parameters,
 )
 from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
+from imr_torch.gap.strengths import unusual_strengths, values_of_curves
 from imr_torch.gap.verdict import VERDICT_ODDS
+from imr_torch.material import ModelBelief
 from imr_torch.simulate import Simulator
 
 
@@ -141,16 +143,20 @@ def curves_of(report: GapReport, simulator: Simulator | None = None) -> list[dic
 
 def selection_document(selection: StepwiseSelection) -> list[dict[str, Any]]:
     """A stepwise selection as JSON-ready values, a step each, the base model first."""
-    return [_step(step) for step in selection.steps]
+    return [_step(step, selection.steps[0].fit.prior) for step in selection.steps]
 
 
 def differing_document(selection: StepwiseSelection) -> dict[str, Any] | None:
     """What a selection says of the base model where curves differ, like a step; None where a step is that, or none was made."""
-    return None if selection.differing is None else _step(selection.differing)
+    return None if selection.differing is None else _step(selection.differing, selection.steps[0].fit.prior)
 
 
-def _step(step: SelectionStep) -> dict[str, Any]:
-    """A step of the selection: its effects, what is left and where, what is closed on held-out designs, and the parameters."""
+def _step(step: SelectionStep, base: ModelBelief) -> dict[str, Any]:
+    """A step of the selection: its effects, what is left and where, what is closed on held-out designs, and the parameters.
+
+    ``curves`` has those of each curve, where they differ; ``unusual`` the effects that are far from their prior, in its
+    standard deviations.
+    """
     return {
         "effects": list(step.effects),
         "added": step.added or None,
@@ -165,6 +171,8 @@ def _step(step: SelectionStep) -> dict[str, Any]:
         "converged": step.converged,
         "certificate": str(step.fit.certificate),
         "parameters": all_parameters(step.fit),
+        "curves": values_of_curves(step.fit, base),
+        "unusual": unusual_strengths(step.fit, base),
     }
 
 

@@ -1,7 +1,7 @@
 """Hypotheses of a diagnosis and their fits: the base model alone, with effects freed, or with a gel of its own in each curve.
 
 A hypothesis is the base model's prior with the effects' priors beside it, so everything that fits, weighs or designs for
-models does so for causes. Gels that differ are further nuisances of the experiments (``ExperimentBatch.gel_sds``). Fits of
+models does so for causes. Gels that differ are further nuisances of the experiments (``ExperimentBatch.between``). Fits of
 effects start at the null fit, with the effect at each of its starts. Coarse bubbles (:func:`imr_torch.simulate.coarser`) lead
 the way to each minimum and leave out what is far behind; every fit that counts ends with the simulator that was given.
 """
@@ -21,7 +21,7 @@ from imr_torch.assimilate.starts import BESIDE, around
 from imr_torch.material import LIBRARY, Belief, Effect, ModelBelief
 from imr_torch.material.belief import beside
 from imr_torch.material.models import material
-from imr_torch.observe import NUISANCES, ExperimentBatch
+from imr_torch.observe import NUISANCES, ExperimentBatch, Scatter
 from imr_torch.population import SCALE
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator, coarser
@@ -32,6 +32,7 @@ EXPLAINS = 3.0
 GEL_SCATTER = "gel_scatter"
 """Name of the hypothesis that the gel, and with it how strong effects are, differs between experiments."""
 
+_AMOUNT = 0.5  # standard deviations of its prior by which an effect's amplitude differs, however small it is
 _GEL_APART = 0.25  # prior standard deviations between the starts of a fit that frees no effect
 _MANY = 6  # starts where fewer disagree
 _AGAIN = 3  # starts beside a fit whose own disagree
@@ -47,7 +48,7 @@ class Hypothesis:
     Args:
         base: the base model's prior.
         effects: what is freed beside it.
-        own_gels: whether the gel, and with it how strong the effects are, differs between experiments (:func:`gel_sds`).
+        own_gels: whether the gel, and with it how strong the effects are, differs between experiments (:func:`scatters`).
     """
 
     base: ModelBelief
@@ -66,7 +67,7 @@ class Hypothesis:
 
     def seen(self, batch: ExperimentBatch) -> ExperimentBatch:
         """The data as this hypothesis has them: experiments with gels of their own where these differ."""
-        return replace(batch, gel_sds=gel_sds(self.base, self.belief.names) if self.own_gels else {})
+        return replace(batch, between=scatters(self.base, self.belief) if self.own_gels else {})
 
     @property
     def extra(self) -> tuple[str, ...]:
@@ -113,17 +114,24 @@ def in_words(part: str) -> str:
     return "differences between curves" if part == GEL_SCATTER else part
 
 
-def gel_sds(base: ModelBelief, names: Sequence[str]) -> dict[str, float]:
-    """Parameter -> prior standard deviation of its logarithm between experiments whose gels differ.
+def scatters(base: ModelBelief, prior: ModelBelief) -> dict[str, Scatter]:
+    """Parameter -> its scatter between experiments whose gels differ.
 
-    Parameters of the gel and amplitudes of effects differ; what is inferred of the medium and the shape of an effect do not.
+    Parameters of the gel differ by a share of them, amplitudes of effects by that share and by an amount that goes with their
+    prior, whose bounds hold in every experiment. What is inferred of the medium and the shape of an effect do not differ.
 
     Args:
         base: the base model's prior.
-        names: parameters of a fit, those of the base model among them.
+        prior: that of the base model, perhaps with effects.
     """
     of_gel, amplitudes = material(base.model.split("+")[0]).names, {effect.names[0] for effect in LIBRARY.values()}
-    return {name: SCALE for name in names if name in of_gel or (name in amplitudes and name not in base.names)}
+    found = dict[str, Scatter]()
+    for name, marginal in zip(prior.names, prior.marginals, strict=True):
+        if name in of_gel:
+            found[name] = Scatter(SCALE)
+        elif name in amplitudes and name not in base.names:
+            found[name] = Scatter(SCALE, _AMOUNT, marginal)
+    return found
 
 
 def fit_null(
@@ -228,7 +236,7 @@ def _fit_alike(
 def deviating(fit: ModelFit, hypothesis: Hypothesis) -> Tensor:
     """Nuisances ``E x w`` of a fit for another hypothesis: deviations of what it does not hold begin at zero."""
     count = len(NUISANCES)
-    known, own = (list(gel_sds(hypothesis.base, names)) for names in (fit.prior.names, hypothesis.belief.names))
+    known, own = (list(scatters(hypothesis.base, prior)) for prior in (fit.prior, hypothesis.belief))
     nuisances = torch.nn.functional.pad(fit.nuisances[:, :count], (0, len(own) if hypothesis.own_gels else 0))
     if hypothesis.own_gels and fit.nuisances.shape[1] > count:
         both = [name for name in own if name in known]

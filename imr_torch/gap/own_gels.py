@@ -12,7 +12,7 @@ import torch
 from imr_torch.assimilate import ModelFit, assimilate
 from imr_torch.gap.hypotheses import Hypothesis, deviating, finish
 from imr_torch.material import Belief
-from imr_torch.observe import NUISANCES, ExperimentBatch
+from imr_torch.observe import NUISANCES, ExperimentBatch, Scatter
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 
@@ -33,23 +33,24 @@ def fit_alone(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
     return tuple(found)
 
 
-def as_one_fit(fit: ModelFit, alone: Sequence[ModelFit], sds: Mapping[str, float]) -> ModelFit:
+def as_one_fit(fit: ModelFit, alone: Sequence[ModelFit], between: Mapping[str, Scatter]) -> ModelFit:
     """A fit to all experiments, moved to where the gels of single ones are: a start, not a fit.
 
     Args:
         fit: the base model's, of one gel.
         alone: fit of each experiment by itself, of the same model.
-        sds: as of :func:`imr_torch.gap.hypotheses.gel_sds`.
+        between: scatter of each parameter that differs (:func:`imr_torch.gap.hypotheses.scatters`).
 
     Returns:
         The fit with the mean gel, and with the nuisances of the experiments and the deviations of their gels.
     """
     gels = torch.stack([own.mean for own in alone])
-    columns = [fit.prior.names.index(name) for name in sds]
-    logs = fit.prior.physical(gels)[:, columns].log()
-    deviations = (logs - fit.prior.physical(gels.mean(0))[columns].log()) / torch.tensor([*sds.values()], dtype=torch.float64)
+    own, common = fit.prior.physical(gels), fit.prior.physical(gels.mean(0))
+    places = [fit.prior.names.index(name) for name in between]
+    each = zip(between.values(), places, strict=True)
+    deviations = [scatter.deviation(own[:, i], common[i]) / scatter.relative for scatter, i in each]
     nuisances = torch.cat([own.nuisances[:, : len(NUISANCES)] for own in alone])
-    return replace(fit, mean=gels.mean(0), nuisances=torch.cat((nuisances, deviations), 1))
+    return replace(fit, mean=gels.mean(0), nuisances=torch.cat((nuisances, torch.stack(deviations, 1)), 1))
 
 
 def with_gels_of(fit: ModelFit, gels: ModelFit, hypothesis: Hypothesis) -> ModelFit:

@@ -12,7 +12,7 @@ from imr_torch.gap.acts import WhereItActs, where_it_acts
 from imr_torch.gap.attribute import Attribution, Inquiry
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.forecast import plan_of, unknown_like
-from imr_torch.gap.hypotheses import GEL_SCATTER, Hypothesis, gel_sds
+from imr_torch.gap.hypotheses import GEL_SCATTER, Hypothesis, scatters
 from imr_torch.gap.identity_design import NextDesign, identity_design
 from imr_torch.gap.latent import LatentPressure, latent_pressure
 from imr_torch.gap.locate import ByExperiment, Onset, by_experiment, onset
@@ -168,8 +168,8 @@ def closed_by(
     fits = {name: report.fits[name] for name in names} | {step.name: step.fit for step in selection.judged}
     apart = ExperimentBatch(tuple(unseen), report.batch.noise) if unseen else None
     own, base = child(seed, "shrinkage"), report.null.prior
-    sds = {step.name: gel_sds(base, step.fit.prior.names) for step in selection.judged if GEL_SCATTER in step.effects}
-    held = hold_out(fits, report.batch, simulator, seed=own, unseen=apart, gel_sds=sds, progress=progress)
+    differing = {step.name: scatters(base, step.fit.prior) for step in selection.judged if GEL_SCATTER in step.effects}
+    held = hold_out(fits, report.batch, simulator, seed=own, unseen=apart, between=differing, progress=progress)
     selection = with_held_out(selection, held, seed=own)
     if len(names) == 1:
         return selection, None

@@ -17,7 +17,7 @@ from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions, assi
 from imr_torch.goodness.linear import Linearisation, linearise_at
 from imr_torch.goodness.phases import phase_numbers
 from imr_torch.material import Belief
-from imr_torch.observe import NUISANCES, ExperimentBatch
+from imr_torch.observe import NUISANCES, ExperimentBatch, Scatter
 from imr_torch.random import child, generator
 from imr_torch.select import default_folds
 from imr_torch.simulate import Simulator
@@ -66,7 +66,7 @@ def hold_out(
     *,
     seed: int,
     unseen: ExperimentBatch | None = None,
-    gel_sds: Mapping[str, Mapping[str, float]] | None = None,
+    between: Mapping[str, Mapping[str, Scatter]] | None = None,
     progress: Progress | None = None,
 ) -> dict[str, list[HeldOut]]:
     """Predictions of designs by hypotheses whose fits did not see them, in the order of the designs.
@@ -77,14 +77,14 @@ def hold_out(
         simulator: makes the bubbles.
         seed: of the starts.
         unseen: designs that were held out before anything was fitted; those of the batch are then not held out.
-        gel_sds: name of a hypothesis -> parameter -> standard deviation of its logarithm between designs
-            (``ExperimentBatch.gel_sds``); none for those that it does not name.
+        between: name of a hypothesis -> parameter -> scatter between designs (``ExperimentBatch.between``); none for those
+            that it does not name.
         progress: called with one line per step.
     """
-    differing = gel_sds or {}
+    differing = between or {}
 
     def seen(name: str, part: ExperimentBatch) -> ExperimentBatch:
-        return replace(part, gel_sds=differing.get(name, {}))
+        return replace(part, between=differing.get(name, {}))
 
     def predicted(fits: Mapping[str, ModelFit], part: ExperimentBatch) -> dict[str, HeldOut]:
         return {name: held_out(fit, seen(name, part), simulator) for name, fit in fits.items()}

@@ -16,8 +16,9 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.design import Plan
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.hypotheses import GEL_SCATTER, in_words
+from imr_torch.gap.hypotheses import GEL_SCATTER
 from imr_torch.gap.parts import Parts
+from imr_torch.gap.selection_text import selection_sentences
 from imr_torch.gap.verdict import OTHER, VERDICT_ODDS
 from imr_torch.goodness.score import ADEQUATE, LEVEL, BlockResult
 from imr_torch.labels import p_value
@@ -72,6 +73,7 @@ def sections(report: GapReport, parts: Parts | None = None) -> list[Section]:
     """The report as sections, in the order of the questions."""
     parts = parts or Parts()
     nothing = report.attribution is None
+    steps = ("Not computed, because no gap was found.",) if parts.selection is None else selection_sentences(parts.selection)
     return [
         Section("Verdict", (headline(report), *cause_sentences(report), report.reason)),
         Section("Is there a gap?", _gap(report)),
@@ -79,7 +81,7 @@ def sections(report: GapReport, parts: Parts | None = None) -> list[Section]:
         Section("Which effect causes it?", _causes(report), folded=nothing),
         Section("Does the gel differ between the curves?", _scatter(parts), folded=parts.scatter is None),
         Section("How far does it shrink?", _shrinkage(report, parts), folded=nothing or parts.shrinkage is None),
-        Section("How much do known effects close together?", _selection(parts), folded=parts.selection is None),
+        Section("How much do known effects close together?", steps, folded=parts.selection is None),
         Section("What does it do to the parameters?", _shift(report), folded=fit_of_cause(report) is None),
         Section("What to measure next?", _next(report, parts), folded=parts.next_design is None),
         Section("Not tested, and why", _not_tested(report, parts), folded=True),
@@ -343,27 +345,6 @@ def _shrinkage(report: GapReport, parts: Parts) -> tuple[str, ...]:
         )
     if not found.converged:
         lines.append("Some of the training fits did not converge: take these figures with care.")
-    return tuple(lines)
-
-
-def _selection(parts: Parts) -> tuple[str, ...]:
-    if (selection := parts.selection) is None:
-        return ("Not computed, because no gap was found.",)
-    lines = [str(selection)]
-    for step in selection.judged:
-        name = " and ".join(map(in_words, step.effects)) or "the base model alone"
-        line = f"{name}: misfit {step.misfit:.4f} in R* beside noise of {step.noise:.4f}"
-        if step.closed is not None:
-            low, middle, high = step.closed
-            line += f", closes {middle:.2f} ({low:.2f} to {high:.2f}) of the held-out gap"
-        if step.log_score is not None:
-            line += f", predicts held-out curves {step.log_score[0]:+.1f} +- {step.log_score[1]:.1f} nats better"
-        lines.append(f"{line}; adequacy {p_value(step.test.p_value)}{'' if step.converged else '; a fit has not converged'}.")
-        if step.alternatives:
-            others = ", ".join(map(in_words, step.alternatives))
-            lines.append(f"Not clearly worse in place of {in_words(step.added)}: {others}.")
-    unsettled = (" and ".join(map(in_words, name.split("+"))) for name in selection.unsettled)
-    lines += [f"{name} was no step, since its fit did not converge." for name in unsettled]
     return tuple(lines)
 
 

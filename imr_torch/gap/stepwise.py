@@ -14,6 +14,7 @@ additions that are not clearly worse in place of its last one.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import torch
 
@@ -30,6 +31,15 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.types import Progress
 
+Ended = Literal["adequate", "explains no more", "unsettled", "most"]
+"""Why a selection has no further step."""
+
+_ENDS: dict[Ended, str] = {
+    "adequate": "what is left is noise",
+    "explains no more": "no further effect of the library was found to explain it",
+    "unsettled": "a further effect that may explain it could not be judged, since its fit did not converge",
+    "most": "more additions were not tried",
+}
 _SURE = 1.645  # standard errors by which one of two models is better in 95 %
 
 
@@ -126,6 +136,8 @@ class StepwiseSelection:
         differing: the base model where curves differ, if that could be asked, its fit converged, and no step is that: shots of
             one gel are known to differ, and unseen curves may be predicted better so even where the evidence is for less.
         unsettled: effects, joined by ``+``, that would have been a step had their fit converged.
+        ended: why there is no further step: nothing is left to explain, no effect explains more, the fit of one that may did
+            not converge, or there are as many as were asked for.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -145,6 +157,7 @@ class StepwiseSelection:
     steps: tuple[SelectionStep, ...]
     differing: SelectionStep | None = None
     unsettled: tuple[str, ...] = ()
+    ended: Ended = "explains no more"
 
     @property
     def judged(self) -> tuple[SelectionStep, ...]:
@@ -181,7 +194,7 @@ class StepwiseSelection:
         part = last.worst
         return (
             f"{named} {share}; what is left lies most in the phase {part.phase!r}, {part.misfit:.4f} in R* beside noise of "
-            f"{part.noise:.4f}, and no further effect of the library was found to explain it."
+            f"{part.noise:.4f}, and {_ENDS[self.ended]}."
         )
 
 
@@ -214,13 +227,14 @@ def select_stepwise(
     fits = {frozenset(name.split("+")) - {"none"}: fit for name, fit in known.items()}
     steps, here = [SelectionStep((), null, 0.0, test, left_over(null, batch))], Here(Hypothesis(inquiry.base), null)
     seen, unsettled = {frozenset[str]()}, list[str]()
-    while len(here.chosen.parts) < most and not steps[-1].adequate and longer_by_one(inquiry, here.chosen):
+    while (ended := _ended(inquiry, here, steps[-1], most)) is None:
         own, before = child(seed, "rung", len(steps)), here
         if len(steps) == 1:
             fits |= fit_gels(inquiry, null, alone, seed=own)
         found, failed = next_step(inquiry, here, fits, seen, seed=own)
         unsettled += failed
         if found is None:
+            ended = "unsettled" if failed else "explains no more"
             break
         chosen, fit, others = found
         seen.add(frozenset(chosen.parts))
@@ -232,7 +246,16 @@ def select_stepwise(
             progress(f"stepwise selection: {steps[-1].name}, misfit {steps[-1].misfit:.4f}")
     rough = None if frozenset({GEL_SCATTER}) in seen else fits.get(frozenset({GEL_SCATTER}))
     differing = None if rough is None else _differing(inquiry, null, rough, seed)
-    return StepwiseSelection(tuple(steps), differing, tuple(unsettled))
+    return StepwiseSelection(tuple(steps), differing, tuple(unsettled), ended)
+
+
+def _ended(inquiry: Inquiry, here: Here, last: SelectionStep, most: int) -> Ended | None:
+    """Why no further step is tried; None if one is."""
+    if last.adequate:
+        return "adequate"
+    if len(here.chosen.parts) >= most:
+        return "most"
+    return None if longer_by_one(inquiry, here.chosen) else "explains no more"
 
 
 def _differing(inquiry: Inquiry, null: ModelFit, rough: ModelFit, seed: int) -> SelectionStep | None:

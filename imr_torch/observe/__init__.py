@@ -15,6 +15,7 @@ from imr_torch.observe.plausibility import check_experiment, check_maximum
 from imr_torch.observe.prepare import Prepared, prepare
 from imr_torch.observe.readers import READERS, Reader, register_reader
 from imr_torch.observe.roughness import noise_of_traces
+from imr_torch.observe.scatter import Scatter
 from imr_torch.observe.sets import load_set
 from imr_torch.observe.sidecar import state
 from imr_torch.observe.traces import Given, LeftOut, Override, RadiusTrace, TraceSet
@@ -41,6 +42,7 @@ __all__ = [
     "Prepared",
     "RadiusTrace",
     "Reader",
+    "Scatter",
     "SimulatedLaboratory",
     "Statement",
     "TraceSet",

@@ -20,6 +20,7 @@ from imr_torch.observe.collapse import CollapseTime, predict_collapse
 from imr_torch.observe.distortion import EXPOSURE_BLUR, Distortion
 from imr_torch.observe.noise import Noise, previous
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced, impossible
+from imr_torch.observe.scatter import Scatter, with_own
 from imr_torch.simulate import EARLIEST, Simulator, check_designs
 
 _EARLIEST_FILMED = -0.4  # an exposure reaches on from its frame, and so does a clock that is wrong
@@ -168,8 +169,8 @@ class ExperimentBatch:
         experiments: the experiments: curves, and shots of which the collapse time alone is known (one frame, whose value is a
             time with an error of its own).
         noise: the law of the observation noise of curves.
-        gel_sds: parameter -> standard deviation of its logarithm between experiments, each of which then has a gel of its own:
-            the deviations are nuisances, beside those of the experiments. One gel in all experiments where empty.
+        between: parameter -> its scatter between experiments, each of which then has a value of its own: the deviations are
+            nuisances, beside those of the experiments. All experiments have the same parameters where empty.
 
     >>> import torch
     >>> from imr_torch.observe import Experiment, ExperimentBatch
@@ -182,15 +183,13 @@ class ExperimentBatch:
 
     experiments: tuple[Experiment | CollapseTime, ...]
     noise: Noise = field(default_factory=Noise)
-    gel_sds: Mapping[str, float] = field(default_factory=dict)
+    between: Mapping[str, Scatter] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.experiments:
             raise InputDataError("At least one experiment is needed.")
-        for name, sd in self.gel_sds.items():
+        for name in self.between:
             PARAMETERS[name]
-            if not 0.0 < sd < math.inf:
-                raise InputDataError(f"ExperimentBatch.gel_sds: {name} is {sd}; expected a standard deviation above 0.")
         gaps = [e.label for e in self.experiments if e.has_gaps]
         if gaps and self.noise.correlation_time > 0.0:
             raise InputDataError(
@@ -266,8 +265,9 @@ class ExperimentBatch:
 
     @cached_property
     def nuisance_sds(self) -> Float[Tensor, "experiments nuisances"]:
-        """``E x w`` tensor of prior standard deviations; columns as in ``NUISANCES``, then in ``gel_sds``."""
-        own = torch.tensor([*self.gel_sds.values()], dtype=torch.float64).expand(len(self.experiments), -1)
+        """``E x w`` tensor of prior standard deviations; columns as in ``NUISANCES``, then in ``between``."""
+        sds = [scatter.relative for scatter in self.between.values()]
+        own = torch.tensor(sds, dtype=torch.float64).expand(len(self.experiments), -1)
         return torch.cat((torch.stack([e.nuisance.sds() for e in self.experiments]), own), 1)
 
     def sd(self, prediction: Float[Tensor, "*batch experiments frames"]) -> Float[Tensor, "*batch experiments frames"]:
@@ -369,13 +369,13 @@ def predict(
     """
     designs, times = film.designs, film.times if times is None else times
     exposures = film.exposures if isinstance(film, ExperimentBatch) else None
-    if isinstance(film, Film) or not (film.gel_sds or bool(film.collapse.any())):
+    if isinstance(film, Film) or not (film.between or bool(film.collapse.any())):
         return _radii(simulator, parameters, designs, times, shifts, bundled, exposures)
     parts, order = [], _alike(film)
     for rows in order:
         gels, own = parameters, None if shifts is None else shifts[..., rows, : len(NUISANCES)]
-        if film.gel_sds and shifts is not None:
-            gels = _own_gel(parameters, tuple(film.gel_sds), shifts[..., rows[0], len(NUISANCES) :])
+        if film.between and shifts is not None:
+            gels = with_own(parameters, film.between, shifts[..., rows[0], len(NUISANCES) :])
         if bool(film.collapse[rows[0]]):
             found = predict_collapse(simulator, gels, designs[rows], film.mean[rows, 0], own, bundled=bundled)
             parts.append(found[..., None].expand(*found.shape, times.shape[-1]))
@@ -385,18 +385,11 @@ def predict(
 
 
 def _alike(film: ExperimentBatch) -> list[Tensor]:
-    """Rows of experiments that are simulated together: of one kind and one gel."""
+    """Rows of experiments that are simulated together: of one kind and with the same parameters."""
     rows = torch.arange(len(film.experiments))
-    if film.gel_sds:
+    if film.between:
         return list(rows.split(1))
     return [part for part in (rows[~film.collapse], rows[film.collapse]) if len(part)]
-
-
-def _own_gel(parameters: Tensor, names: Sequence[str], deviations: Tensor) -> Tensor:
-    """Parameters ``... x p`` times the exponential of deviations ``... x n`` of the logarithms of some."""
-    columns = torch.tensor(PARAMETERS.index(names))
-    own = parameters[..., columns] * torch.exp(deviations)
-    return parameters.expand(*own.shape[:-1], -1).index_copy(-1, columns, own)
 
 
 def _radii(

@@ -12,6 +12,7 @@ from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
 from imr_torch.errors import InputDataError
 from imr_torch.gap import Parts, additions, describe, diagnose, library, own_gels
 from imr_torch.gap.attribute import Inquiry
+from imr_torch.gap.document import selection_document
 from imr_torch.gap.hypotheses import (
     GEL_SCATTER,
     Hypothesis,
@@ -19,15 +20,16 @@ from imr_torch.gap.hypotheses import (
     finish,
     fit_hypotheses,
     fit_null,
-    gel_sds,
     laplace_evidence,
+    scatters,
 )
 from imr_torch.gap.own_gels import as_one_fit, fit_alone, with_gels_of
 from imr_torch.gap.parts import closed_by
 from imr_torch.gap.report import next_step
+from imr_torch.gap.strengths import unusual_strengths, values_of_curves
 from imr_torch.goodness.linear import linearise
 from imr_torch.material import LIBRARY, PARAMETERS
-from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory, predict
+from imr_torch.observe import Experiment, ExperimentBatch, Scatter, SimulatedLaboratory, predict
 from imr_torch.population import GaussianShots, coordinate_units
 from tests.gap.synthetic import BASE
 
@@ -71,6 +73,19 @@ def test_that_each_experiment_is_seen_with_a_gel_of_its_own(two_gels) -> None:
         assert torch.allclose(seen[e], alone, atol=1e-12)
 
 
+def test_that_the_strength_of_an_effect_stays_in_the_bounds_of_its_prior_in_every_experiment() -> None:
+    own = scatters(BASE, Hypothesis(BASE, (LIBRARY["gas_loss"], LIBRARY["edge_error"])).belief)
+    deviations = torch.tensor([-2.0, 0.0, 2.0], dtype=torch.float64)
+    loss = own["gas_loss"].moved(torch.tensor(0.1, dtype=torch.float64), deviations)
+    assert bool((loss >= 0.0).all() and (loss.diff() > 0.0).all())
+    edge = own["edge_error"]  # its prior has a standard deviation of 2 um
+    for value, sd in ((0.0, 1e-6), (4e-6, 1.562e-6), (40e-6, 12.04e-6)):
+        moved = edge.moved(torch.tensor(value, dtype=torch.float64), torch.tensor([-0.003, 0.003], dtype=torch.float64))
+        assert float(moved.diff()) == pytest.approx(sd * 0.006 / 0.3, rel=1e-3)
+    back = own["gas_loss"].deviation(loss[1:2], torch.tensor(0.1, dtype=torch.float64))
+    assert float(back) == pytest.approx(0.0, abs=1e-9)
+
+
 def test_that_sensitivities_to_a_gel_of_its_own_are_those_of_the_bubbles(two_gels) -> None:
     posterior = Posterior(BASE, Hypothesis(BASE, own_gels=True).seen(two_gels), SIMULATOR)
     point = Point(torch.tensor([0.3, -0.1]).double(), posterior.still())
@@ -85,8 +100,10 @@ def test_that_sensitivities_to_a_gel_of_its_own_are_those_of_the_bubbles(two_gel
 
 
 def test_that_a_scatter_of_gels_that_is_no_number_is_refused(two_gels) -> None:
-    with pytest.raises(InputDataError, match="gel_sds: G is 0"):
-        ExperimentBatch(two_gels.experiments, gel_sds={"G": 0.0})
+    with pytest.raises(InputDataError, match=r"Scatter\.relative is 0"):
+        Scatter(0.0)
+    with pytest.raises(InputDataError, match="no_such"):
+        ExperimentBatch(two_gels.experiments, between={"no_such": Scatter(0.3)})
 
 
 def test_that_the_evidence_of_gels_that_differ_is_that_of_the_closed_form(two_gels, null, apart) -> None:
@@ -94,28 +111,28 @@ def test_that_the_evidence_of_gels_that_differ_is_that_of_the_closed_form(two_ge
     assert apart.certificate.converged
     alone = fit_alone(null, two_gels, SIMULATOR, seed=0)
     shots = GaussianShots.of_fits(alone, [laplace_evidence(fit) for fit in alone])
-    scatter = torch.tensor([gel_sds(BASE, BASE.names)[name] for name in BASE.names]) / coordinate_units(BASE)
+    scatter = torch.tensor([scatters(BASE, BASE)[name].relative for name in BASE.names]) / coordinate_units(BASE)
     exact = float(shots.given(scatter[None], BASE.mean, torch.cholesky_inverse(BASE.chol)).evidence)
     assert laplace_evidence(apart) == pytest.approx(exact, abs=0.1)
     assert laplace_evidence(apart) > laplace_evidence(null) + 30.0
 
 
 def test_that_deviations_of_gels_are_found(apart) -> None:
-    found = apart.nuisances[:, 3] * gel_sds(BASE, BASE.names)["G"]
+    found = apart.nuisances[:, 3] * scatters(BASE, BASE)["G"].relative
     assert float(found[1] - found[0]) == pytest.approx(math.log(STIFF["G"] / SOFT["G"]), abs=0.1)
     assert float(found[1] - found[2]) == pytest.approx(math.log(STIFF["G"] / 8e3), abs=0.1)
 
 
 def test_that_the_scatter_of_a_medium_and_of_the_shape_of_an_effect_is_none() -> None:
     hypothesis = Hypothesis(BASE, (LIBRARY["sound_field"],), own_gels=True)
-    assert set(gel_sds(BASE, hypothesis.belief.names)) == {"G", "mu", "sound_field"}
+    assert set(scatters(BASE, hypothesis.belief)) == {"G", "mu", "sound_field"}
     assert hypothesis.name == "sound_field+gel_scatter"
 
 
 def test_that_deviations_are_kept_by_name_when_effects_come_and_go(two_gels, apart) -> None:
     more = Hypothesis(BASE, (LIBRARY["gas_loss"],), own_gels=True)
     wider = deviating(apart, more)
-    names = list(gel_sds(BASE, more.belief.names))
+    names = list(scatters(BASE, more.belief))
     assert torch.equal(wider[:, 3 + names.index("G")], apart.nuisances[:, 3])
     assert float(wider[:, 3 + names.index("gas_loss")].abs().max()) == 0.0
     assert torch.equal(deviating(apart, Hypothesis(BASE)), apart.nuisances[:, :3])
@@ -123,7 +140,7 @@ def test_that_deviations_are_kept_by_name_when_effects_come_and_go(two_gels, apa
 
 def test_that_a_start_from_single_curves_sees_what_they_see(two_gels, null) -> None:
     alone = fit_alone(null, two_gels, SIMULATOR, seed=0)
-    start = as_one_fit(null, alone, gel_sds(BASE, BASE.names))
+    start = as_one_fit(null, alone, scatters(BASE, BASE))
     posterior = Posterior(BASE, Hypothesis(BASE, own_gels=True).seen(two_gels), SIMULATOR)
     seen = posterior.predict(Point(start.mean, start.nuisances))
     for row, own in zip(seen, alone, strict=True):
@@ -214,9 +231,17 @@ def test_that_an_effect_whose_strength_differs_between_curves_is_told_with_them(
     last = selection.steps[-1]
     assert last.effects == ("gas_loss", GEL_SCATTER)
     assert last.adequate
-    names = list(gel_sds(BASE, last.fit.prior.names))
-    found = last.fit.nuisances[:, 3 + names.index("gas_loss")] * 0.3
-    assert float(found[1] - found[0]) == pytest.approx(math.log(3.0), abs=0.5)
+    found = values_of_curves(last.fit, BASE)
+    assert set(found) == {"G", "mu", "gas_loss"}
+    assert found["gas_loss"] == pytest.approx([0.3, 0.9, 0.5], rel=0.3)
+    unusual = unusual_strengths(last.fit, BASE)  # .9 is 4.5 standard deviations of its prior from 0, of which half is cut off
+    assert unusual["gas_loss"] == pytest.approx(4.35, abs=0.5)
+    text = describe(report, Parts(selection=selection))
+    assert "Curve by curve, with gas_loss and differences between curves: G (kPa) 8" in text
+    assert "gas_loss is 4 standard deviations of its prior from what is usual" in text
+    (document,) = selection_document(selection)[-1:]
+    assert document["curves"] == found
+    assert document["unusual"] == unusual
 
 
 def test_that_repeats_and_a_single_curve_are_not_asked(two_gels, null) -> None:

@@ -72,6 +72,12 @@ def test_that_what_explains_the_designs_it_was_fitted_to_but_no_other_closes_not
     assert selection is not None
     assert all(step.gained > 3.0 for step in selection.steps[1:])
     assert not selection.steps[-1].adequate
+    assert selection.ended == "explains no more"
+    short = select_stepwise(
+        Inquiry(BASE, effects, report.batch, SIMULATOR), report.null, report.gap, report.fits, most=1, seed=0
+    )
+    assert short.ended == "most"
+    assert str(short).endswith("more additions were not tried.")
     assert selection.best.effects == ()
     assert str(selection) == "No effect of the library closes any of the gap."
     assert sum(part.share for part in selection.steps[-1].left) == pytest.approx(1.0)
@@ -96,6 +102,7 @@ def test_that_fits_saved_by_amplitudes_far_from_zero_change_no_step(selected, mo
     monkeypatch.setattr(additions, "_CLEAR", float("inf"))  # a refit without each effect decides on every step
     slow = select_stepwise(inquiry, report.null, report.gap, report.fits, seed=0)
     assert [step.effects for step in slow.steps] == [step.effects for step in parts.selection.steps]
+    assert slow.ended == "adequate"
     assert slow.steps[-1].test.p_value == pytest.approx(parts.selection.steps[-1].test.p_value, rel=0.5)
 
 

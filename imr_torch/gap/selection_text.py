@@ -1,0 +1,54 @@
+"""A stepwise selection as sentences: what each step leaves and closes, how curves differ, and what to take with care."""
+
+from imr_torch.gap.hypotheses import in_words
+from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
+from imr_torch.gap.strengths import unusual_strengths, values_of_curves
+from imr_torch.labels import p_value
+from imr_torch.material import PARAMETERS, ModelBelief
+
+
+def selection_sentences(selection: StepwiseSelection) -> tuple[str, ...]:
+    """The selection in a sentence, then each step, what curves have of their own in the best one, and what is left open."""
+    lines, base = [str(selection)], selection.steps[0].fit.prior
+    for step in selection.judged:
+        lines.append(_judged(step))
+        if step.alternatives:
+            others = ", ".join(map(in_words, step.alternatives))
+            lines.append(f"Not clearly worse in place of {in_words(step.added)}: {others}.")
+    lines += [*_of_curves(selection.best, base), *_unusual(selection.best, base)]
+    unsettled = (" and ".join(map(in_words, name.split("+"))) for name in selection.unsettled)
+    lines += [f"{name} was no step, since its fit did not converge." for name in unsettled]
+    return tuple(lines)
+
+
+def _judged(step: SelectionStep) -> str:
+    line = f"{_named(step)}: misfit {step.misfit:.4f} in R* beside noise of {step.noise:.4f}"
+    if step.closed is not None:
+        low, middle, high = step.closed
+        line += f", closes {middle:.2f} ({low:.2f} to {high:.2f}) of the held-out gap"
+    if step.log_score is not None:
+        line += f", predicts held-out curves {step.log_score[0]:+.1f} +- {step.log_score[1]:.1f} nats better"
+    return f"{line}; adequacy {p_value(step.test.p_value)}{'' if step.converged else '; a fit has not converged'}."
+
+
+def _named(step: SelectionStep) -> str:
+    return " and ".join(map(in_words, step.effects)) or "the base model alone"
+
+
+def _of_curves(step: SelectionStep, base: ModelBelief) -> list[str]:
+    """The parameters of each curve where curves differ."""
+    values = values_of_curves(step.fit, base)
+    said = (
+        f"{PARAMETERS[name].label} {', '.join(f'{PARAMETERS[name].display_scale * value:.3g}' for value in own)}"
+        for name, own in values.items()
+    )
+    return [f"Curve by curve, with {_named(step)}: {'; '.join(said)}."] if values else []
+
+
+def _unusual(step: SelectionStep, base: ModelBelief) -> list[str]:
+    """A caution for each effect whose strength its prior does not expect."""
+    return [
+        f"{name} is {sds:.0f} standard deviations of its prior from what is usual: these curves ask for what it does to them, "
+        "and perhaps for another reason, which the library does not hold."
+        for name, sds in unusual_strengths(step.fit, base).items()
+    ]
