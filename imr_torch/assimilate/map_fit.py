@@ -142,7 +142,7 @@ def _fit(chains: Chains, options: SearchOptions) -> ModelFit:
     same = torch.nonzero(chains.cost <= chains.cost.min() + options.agreement)[:, 0]
     best = int(same[chains.gradient[same].argmin()])
     costs, equations = chains.cost.sort().values, chains.equations[best]
-    agreement = float(costs[1] - costs[0]) if bool(torch.isfinite(costs[0])) else torch.inf
+    agreement = float(costs[1] - costs[0]) if len(costs) > 1 and bool(torch.isfinite(costs[0])) else torch.inf
     gradient = float(chains.gradient[best])
     if equations is None:  # no start could be simulated
         response = torch.zeros(*posterior.still().shape, posterior.size, dtype=torch.float64)

@@ -95,7 +95,7 @@ def _restarted(searches: Sequence[Chains], number: int, options: SearchOptions, 
     rows, several = chains.ranked, _several(chains, options)
     apart = rows[chains.cost[rows] > chains.cost[rows[0]] + options.agreement]
     fresh = apart[(chains.iterations[apart] == 0) & torch.isfinite(chains.cost[apart])]
-    if len(rows) - len(apart) >= 2 and not (len(fresh) and several):
+    if not len(apart) or (len(rows) - len(apart) >= 2 and not (len(fresh) and several)):
         return chains
     behind = chains.lowest - min(lowest_cost(searches), options.known_cost)
     lags = _lags(behind, options, _RESERVE) and not (several and _promising(chains, searches))

@@ -35,15 +35,15 @@ def given(
     gels: Sequence[Float[Tensor, "starts _"]],
     nuisances: Sequence[Float[Tensor, "experiments nuisances"]] | None,
 ) -> list[Point]:
-    """Given gels, two rows or more of each model; all those of a model begin with the same nuisances, zero by default.
+    """Given gels, a row or more of each model; all those of a model begin with the same nuisances, zero by default.
 
     Raises:
         ShapeError: if the gels do not suit the models.
     """
     free = [posterior.size for posterior in posteriors]
-    if [rows.shape[1] for rows in gels] != free or min(len(rows) for rows in gels) < 2:
+    if [rows.shape[1] for rows in gels] != free or not all(map(len, gels)):
         shapes = [tuple(rows.shape) for rows in gels]
-        raise ShapeError(f"starts has shapes {shapes}; expected two rows or more of {free} free parameters.")
+        raise ShapeError(f"starts has shapes {shapes}; expected a row or more of {free} free parameters.")
     own = [p.still() for p in posteriors] if nuisances is None else nuisances
     return [Point(rows, n.expand(len(rows), -1, -1)) for rows, n in zip(gels, own, strict=True)]
 

@@ -275,10 +275,10 @@ def _descend(
     if not near:  # a fit that is known already is better than all
         return fits
     kept = Belief(tuple(belief.models[i] for i in near), torch.zeros(len(near), dtype=torch.float64))
-    start = Assimilation(kept, batch, tuple(fits[i] for i in near))
-    own = replace(options, starts=2, mask_collapses=False)
-    for i, fit in zip(near, search(kept, batch, simulator, options=own, near=start).fits, strict=True):
-        fits[i] = _certified(fit, max(fit.certificate.agreement, found[i].certificate.agreement), own)
+    ends = {"starts": [fits[i].mean[None] for i in near], "nuisances": [fits[i].nuisances for i in near]}
+    own = replace(options, mask_collapses=False)
+    for i, fit in zip(near, search(kept, batch, simulator, options=own, **ends).fits, strict=True):
+        fits[i] = _certified(fit, found[i].certificate.agreement, own)
     return fits
 
 
