@@ -54,8 +54,8 @@ def assimilate(
         options: how to search.
         near: an assimilation of the same belief and experiments (with another noise, say) to start from, in place of
             prior draws; the starts are then perturbed copies of its optimum.
-        starts: per model, two or more rows of ``d`` whitened coordinates (see :class:`imr_torch.assimilate.ModelFit`) to start
-            from, in place of prior draws.
+        starts: per model, rows of ``d`` whitened coordinates (see :class:`imr_torch.assimilate.ModelFit`) to start from, in
+            place of prior draws; a single one has none to agree with, so that its certificate says that it did not converge.
         nuisances: per model, ``E x w`` standardised nuisances with which its starts begin; zero by default.
         warn: whether a fit that did not converge gives a ``ConvergenceWarning``; False where the caller reads certificates.
         progress: called with one line per iteration.

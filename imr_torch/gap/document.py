@@ -74,6 +74,7 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         "shrinkage": None if judged is None else {name: list(values) for name, values in judged.shrinkage.items()},
         "best_rival": None if judged is None else judged.rival,
         "ladder": None if parts.selection is None else selection_document(parts.selection),
+        "ladder_ended": None if parts.selection is None else parts.selection.ended,
         "ladder_differing": None if parts.selection is None else differing_document(parts.selection),
         "ladder_unsettled": None if parts.selection is None else [name.split("+") for name in parts.selection.unsettled],
         "gel_scatter": None if parts.scatter is None else parts.scatter.to_dict(),

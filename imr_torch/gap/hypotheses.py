@@ -258,7 +258,8 @@ def _descend(
 ) -> list[ModelFit]:
     """Fits by coarse bubbles, then, of those not far behind, by the simulator's own from where these ended.
 
-    A fit that was left behind has the cost that the simulator gives it where it ended, and has not converged.
+    The agreement of a certificate is that of the starts by coarse bubbles. A fit that was left behind has the cost that the
+    simulator gives it where it ended, and has not converged.
     """
     search = partial(assimilate, seed=seed, warn=False, progress=progress)
     coarse = coarser(simulator)
@@ -275,9 +276,10 @@ def _descend(
     if not near:  # a fit that is known already is better than all
         return fits
     kept = Belief(tuple(belief.models[i] for i in near), torch.zeros(len(near), dtype=torch.float64))
-    ends = {"starts": [fits[i].mean[None] for i in near], "nuisances": [fits[i].nuisances for i in near]}
+    gels, moved = [fits[i].mean[None] for i in near], [fits[i].nuisances for i in near]
     own = replace(options, mask_collapses=False)
-    for i, fit in zip(near, search(kept, batch, simulator, options=own, **ends).fits, strict=True):
+    ended = search(kept, batch, simulator, options=own, starts=gels, nuisances=moved).fits
+    for i, fit in zip(near, ended, strict=True):
         fits[i] = _certified(fit, found[i].certificate.agreement, own)
     return fits
 

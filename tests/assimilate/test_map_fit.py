@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, assimilate
-from imr_torch.errors import ConvergenceError, ConvergenceWarning, InputDataError
+from imr_torch.errors import ConvergenceError, ConvergenceWarning, InputDataError, ShapeError
 from imr_torch.material import PARAMETERS, Belief, TruncatedNormal
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory, predict
 from imr_torch.simulate import PolytropicSimulator, Solution
@@ -134,6 +134,23 @@ def test_that_a_search_that_begins_at_the_answer_with_its_nuisances_stays_there(
         assert again.cost == pytest.approx(fit.cost, abs=1e-6)
     gradient = {known: float(lines[0].split()[-1]) for known, lines in said.items()}
     assert gradient[True] < 1e-3 < 0.1 < gradient[False]
+
+
+@pytest.mark.parametrize("drop_behind", [None, 6.0])
+def test_that_a_single_start_reaches_the_minimum_and_is_not_certified(drop_behind: float | None) -> None:
+    belief, batch = prior(("nhkv",)), experiments(3, nuisance=BOTH)
+    options = replace(OPTIONS, drop_behind=drop_behind)
+    starts = [torch.full((1, len(belief.models[0].names)), 0.5, dtype=torch.float64)]
+    fit = assimilate(belief, batch, LinearSimulator(), seed=2, options=options, starts=starts, warn=False).fits[0]
+    assert fit.cost == pytest.approx(fitted(belief, batch).fits[0].cost, abs=1e-6)
+    assert fit.certificate.gradient < options.gradient
+    assert fit.certificate.agreement == math.inf
+    assert not fit.certificate.converged
+
+
+def test_that_no_start_at_all_is_refused() -> None:
+    with pytest.raises(ShapeError, match="a row or more"):
+        assimilate(prior(("nhkv",)), experiments(1), LinearSimulator(), seed=0, starts=[torch.zeros(0, 2, dtype=torch.float64)])
 
 
 def test_that_repeats_count_as_often_as_they_were_made() -> None:

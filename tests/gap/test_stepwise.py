@@ -45,12 +45,15 @@ def test_that_two_effects_are_added_and_the_gap_is_closed_on_designs_that_no_fit
 
 def test_that_rungs_are_written_down(selected) -> None:
     report, parts = selected
-    steps = to_json(report, parts)["ladder"]
+    document = to_json(report, parts)
+    assert document["ladder_ended"] == "adequate"
+    steps = document["ladder"]
     assert [step["effects"] for step in steps] == [list(step.effects) for step in parts.selection.steps]
     assert steps[0]["closed"] is None
     assert steps[-1]["closed"] == list(parts.selection.steps[-1].closed)
     assert set(steps[-1]["parameters"]) == {"G", "mu", *TWO}
     assert all(step["converged"] for step in steps)
+    assert [(step["curves"], step["unusual"]) for step in steps] == [({}, {})] * 3  # curves do not differ
     assert str(parts.selection) in describe(report, parts)
 
 
