@@ -8,7 +8,8 @@
 numbers of 250 to 600 and R_inf* of .18 to .28 with uncertain Rmax, time zero and R_inf. Each set has an effect of the library
 at a draw of its prior. A third of the sets are of one gel with the effect in the library (`alike`), a third of one gel with the
 effect withheld (`withheld`), and in a third G, mu and the strength of the effect scatter by 30 % between shots (`differing`).
-The stepwise selection of up to four additions says whether curves differ, and what its steps close on the unseen curves.
+The stepwise selection of up to four additions says whether curves differ, what its steps close on the unseen curves, and
+whether an effect of the best one is unusually strong.
 `halves` asks two of these shots, and two others, for their first addition, as measured gels are asked. A line a set is
 appended, so a run that was cut off continues.
 """
@@ -29,6 +30,7 @@ from imr_torch.errors import ImrError
 from imr_torch.gap import GapReport, diagnose, library
 from imr_torch.gap.hypotheses import GEL_SCATTER, SCALE
 from imr_torch.gap.parts import closed_by
+from imr_torch.gap.strengths import unusual_strengths
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import Experiment, Noise, Nuisance, SimulatedLaboratory
 from imr_torch.random import child, generator
@@ -106,6 +108,7 @@ def judged(number: int) -> dict[str, Any]:
             "steps": [list(step.effects) for step in selection.steps],
             "best": list(best.effects),
             "closed": best.closed,
+            "unusual": unusual_strengths(best.fit, report.null.prior),
             "adequate": selection.steps[-1].adequate,
             "converged": all(step.converged for step in selection.judged),
         }
@@ -135,8 +138,8 @@ def rows(path: Path, task: str) -> list[dict[str, Any]]:
 
 def table(args: argparse.Namespace) -> None:
     """Shares by kind of set, with their standard errors."""
-    print("| sets | with a gap | said that curves differ | closed on unseen curves: median, 10th percentile | certified |")
-    print("|---|---|---|---|---|")
+    print("| sets | with a gap | said that curves differ | closed: median, 10th percentile | certified | unusually strong |")
+    print("|---|---|---|---|---|---|")
     for kind in KINDS:
         own = [row for row in rows(Path(args.json), "run") if row["kind"] == kind]
         gaps = [row for row in own if row["found"]]
@@ -145,10 +148,10 @@ def table(args: argparse.Namespace) -> None:
         share = sum(any(GEL_SCATTER in step for step in row["steps"]) for row in gaps) / len(gaps)
         error = math.sqrt(max(share * (1.0 - share), 1.0 / len(gaps)) / len(gaps))
         closed = torch.tensor([row["closed"][1] if row["closed"] else 0.0 for row in gaps])
-        sure = sum(row["converged"] for row in gaps)
+        sure, strong = (sum(bool(row[name]) for row in gaps) for name in ("converged", "unusual"))
         print(
             f"| {kind} | {len(gaps)} of {len(own)} | {share:.2f} +- {error:.2f} | {float(closed.median()):.2f}, "
-            f"{float(closed.quantile(0.1)):.2f} | {sure} of {len(gaps)} |"
+            f"{float(closed.quantile(0.1)):.2f} | {sure} of {len(gaps)} | {strong} |"
         )
     print("\n| halves of sets | an addition in both | the same first | the same, or no addition in both | one in common (*) |")
     print("|---|---|---|---|---|")

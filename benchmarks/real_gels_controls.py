@@ -163,9 +163,12 @@ def judged(record: Record) -> list[dict[str, Any]]:
     return [row for row in selections(record) if row["ladder"][-1]["closed"]]
 
 
-def best_step(row: dict[str, Any]) -> dict[str, Any]:
-    """The step that the program reports: of those that close some of the gap on unseen curves, the best predictor there."""
-    steps = all_steps(row)
+def best_step(row: dict[str, Any], *, usual: bool = False) -> dict[str, Any]:
+    """The step that the program reports: of those that close some of the gap on unseen curves, the best predictor there.
+
+    With ``usual``, of those whose effects are all within four standard deviations of their priors.
+    """
+    steps = [step for step in all_steps(row) if not (usual and step.get("unusual"))]
     scores = [step["log_score"][0] if step["closed"] and step["closed"][1] > 0.0 else 0.0 for step in steps]
     return steps[scores.index(max(scores))]
 
@@ -187,7 +190,9 @@ def _closed(record: Record) -> Control:
         return _open(name, must)
     found = [share(best_step(row)) for row in rows]
     last = [share(row["ladder"][-1]) for row in rows]
+    usual = [share(best_step(row, usual=True)) for row in rows]
     value = f"median {median(found):.2f} of {len(rows)} sets; by the last step, whatever it predicts, {median(last):.2f}"
+    value += f"; by steps whose effects are all of usual strength, {median(usual):.2f}"
     return Control(name, must, value, median(found) >= 0.8)
 
 

@@ -11,6 +11,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from real_gels_controls import Record, all_steps, best_step, controls, first_choice, model
 
+from imr_torch.material import PARAMETERS
+
 
 def write_page(rows: list[dict[str, Any]], curves: dict[str, list[dict[str, Any]]], path: Path) -> None:
     """Write the page, and a figure of each set whose curves are given into a folder of its name beside it."""
@@ -114,12 +116,27 @@ def _said(row: dict[str, Any] | None, other: dict[str, Any] | None) -> list[str]
     lines = [f"Medium stated: {row['stated']}. {row['reason']}"]
     if row.get("sentence"):
         lines.append(row["sentence"])
+    if row.get("ladder"):
+        lines += _of_curves(best_step(row))
     choices = {"First addition": first_choice(row), "First addition of the other half": first_choice(other or {})}
     lines += [
         f"{whose}, not clearly told apart: {', '.join(sorted(names))}." for whose, names in choices.items() if len(names) > 1
     ]
     if other and other.get("sentence"):
         lines.append(f"Other half: {other['sentence']}")
+    return lines
+
+
+def _of_curves(step: dict[str, Any]) -> list[str]:
+    """What a step says of each curve, and which of its effects its priors do not expect."""
+    values = (
+        f"{PARAMETERS[name].label} {', '.join(f'{PARAMETERS[name].display_scale * value:.3g}' for value in own)}"
+        for name, own in step.get("curves", {}).items()
+    )
+    lines = [f"Curve by curve: {'; '.join(values)}."] if step.get("curves") else []
+    if step.get("unusual"):
+        far = ", ".join(f"{name} ({sds:.0f})" for name, sds in step["unusual"].items())
+        lines.append(f"Standard deviations of their priors by which effects are unusually strong: {far}.")
     return lines
 
 

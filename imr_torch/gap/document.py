@@ -155,8 +155,8 @@ def differing_document(selection: StepwiseSelection) -> dict[str, Any] | None:
 def _step(step: SelectionStep, base: ModelBelief) -> dict[str, Any]:
     """A step of the selection: its effects, what is left and where, what is closed on held-out designs, and the parameters.
 
-    ``curves`` has those of each curve, where they differ; ``unusual`` the effects that are far from their prior, in its
-    standard deviations.
+    ``curves`` has those of each curve, where they differ, and ``unusual`` the amplitudes of effects that are far from their
+    prior, in its standard deviations.
     """
     return {
         "effects": list(step.effects),

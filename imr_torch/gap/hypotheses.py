@@ -7,7 +7,7 @@ the way to each minimum and leave out what is far behind; every fit that counts 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -37,6 +37,7 @@ _GEL_APART = 0.25  # prior standard deviations between the starts of a fit that 
 _MANY = 6  # starts where fewer disagree
 _AGAIN = 3  # starts beside a fit whose own disagree
 _ROUGHLY = 0.03  # gradient at which a fit by coarse bubbles ends
+_LEADING = 6  # fits that get a second start by the simulator's own bubbles
 _FAR = 3.0  # chi squared per degree of freedom of a fit whose collapses may lie on the wrong side of a frame
 _TOO_COARSE = 200.0  # nats of error of the cost beyond which coarse bubbles lead nowhere
 
@@ -258,8 +259,8 @@ def _descend(
 ) -> list[ModelFit]:
     """Fits by coarse bubbles, then, of those not far behind, by the simulator's own from where these ended.
 
-    The agreement of a certificate is that of the starts by coarse bubbles. A fit that was left behind has the cost that the
-    simulator gives it where it ended, and has not converged.
+    The leading ones get a second start beside that. The others have the agreement of their starts by coarse bubbles in their
+    certificates. A fit that was left behind has the cost that the simulator gives it where it ended, and has not converged.
     """
     search = partial(assimilate, seed=seed, warn=False, progress=progress)
     coarse = coarser(simulator)
@@ -275,13 +276,27 @@ def _descend(
     near = [i for i, fit in enumerate(fits) if fit.cost - promised(fit) <= limit]
     if not near:  # a fit that is known already is better than all
         return fits
-    kept = Belief(tuple(belief.models[i] for i in near), torch.zeros(len(near), dtype=torch.float64))
-    gels, moved = [fits[i].mean[None] for i in near], [fits[i].nuisances for i in near]
-    own = replace(options, mask_collapses=False)
-    ended = search(kept, batch, simulator, options=own, starts=gels, nuisances=moved).fits
-    for i, fit in zip(near, ended, strict=True):
-        fits[i] = _certified(fit, found[i].certificate.agreement, own)
+    near.sort(key=lambda i: fits[i].cost)
+    ahead, others = near[:_LEADING], near[_LEADING:]
+    own = replace(options, starts=2, mask_collapses=False)
+    kept = _belief(fits[i].prior for i in ahead)
+    start = Assimilation(kept, batch, tuple(fits[i] for i in ahead))
+    for i, fit in zip(ahead, search(kept, batch, simulator, options=own, near=start).fits, strict=True):
+        fits[i] = _certified(fit, max(fit.certificate.agreement, found[i].certificate.agreement), own)
+    if others:
+        own = replace(own, rival=min(options.known_cost, *(fits[i].cost for i in ahead)))
+        gels, moved = [fits[i].mean[None] for i in others], [fits[i].nuisances for i in others]
+        kept = _belief(fits[i].prior for i in others)
+        ended = search(kept, batch, simulator, options=own, starts=gels, nuisances=moved).fits
+        for i, fit in zip(others, ended, strict=True):
+            fits[i] = _certified(fit, found[i].certificate.agreement, own)
     return fits
+
+
+def _belief(models: Iterable[ModelBelief]) -> Belief:
+    """Models of equal probability."""
+    kept = tuple(models)
+    return Belief(kept, torch.zeros(len(kept), dtype=torch.float64))
 
 
 def _coarse_error(posterior: Posterior, gel: Tensor, nuisances: Sequence[Tensor] | None) -> float:

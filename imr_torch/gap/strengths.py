@@ -32,19 +32,20 @@ def values_of_curves(fit: ModelFit, base: ModelBelief) -> dict[str, list[float]]
 
 
 def unusual_strengths(fit: ModelFit, base: ModelBelief) -> dict[str, float]:
-    """Effect -> standard deviations of its prior from its median, of those beyond :data:`UNUSUAL`; the largest of all curves.
+    """Amplitude of an effect -> standard deviations of its prior from the median, of those beyond :data:`UNUSUAL`.
+
+    Where curves differ, the largest of all curves.
 
     Args:
         fit: as of :func:`values_of_curves`.
         base: likewise.
     """
     own, found = values_of_curves(fit, base), dict[str, float]()
-    for effect in LIBRARY.values():
-        name = effect.names[0]
-        if name in fit.prior.names and name not in base.names:
-            place = fit.prior.names.index(name)
+    amplitudes = {effect.names[0] for effect in LIBRARY.values()} - set(base.names)
+    for place, (name, marginal) in enumerate(zip(fit.prior.names, fit.prior.marginals, strict=True)):
+        if name in amplitudes:
             values = torch.tensor(own.get(name, []), dtype=torch.float64)
-            controls = torch.cat((fit.mean[place : place + 1], fit.prior.marginals[place].to_control(values)))
+            controls = torch.cat((fit.mean[place : place + 1], marginal.to_control(values)))
             if (most := float(controls.abs().max())) > UNUSUAL:
-                found[effect.name] = most
+                found[name] = most
     return found

@@ -46,6 +46,13 @@ def test_that_what_is_reported_is_the_best_predictor_that_closes_some_of_the_gap
     assert best_step(row(step("clock", closed=0.3, score=-2.0)))["effects"] == []
 
 
+def test_that_steps_with_effects_of_usual_strength_are_counted_by_themselves() -> None:
+    clock, wall = step("clock", closed=0.4, score=20.0, unusual={}), step("wall", closed=0.9, score=50.0, unusual={"wall": 9.0})
+    assert best_step(row(clock, wall)) is wall
+    assert best_step(row(clock, wall), usual=True) is clock
+    assert "all of usual strength, 0.40" in of("share of the gap closed", record([row(clock, wall)])).value
+
+
 @pytest.mark.parametrize(("share", "met"), [(0.81, True), (0.79, False)])
 def test_that_the_median_share_that_is_closed_decides(share: float, met: bool) -> None:
     rows = [row(step("clock", closed=own, score=5.0)) for own in (0.1, share, 0.95)]
