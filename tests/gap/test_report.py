@@ -52,6 +52,7 @@ PARTS = (
     "shrinkage",
     "best_rival",
     "ladder",
+    "ladder_ended",
     "ladder_differing",
     "ladder_unsettled",
     "gel_scatter",
