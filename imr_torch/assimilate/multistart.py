@@ -95,6 +95,7 @@ def _restarted(searches: Sequence[Chains], number: int, options: SearchOptions, 
     rows, several = chains.ranked, _several(chains, options)
     apart = rows[chains.cost[rows] > chains.cost[rows[0]] + options.agreement]
     fresh = apart[(chains.iterations[apart] == 0) & torch.isfinite(chains.cost[apart])]
+    # none disagrees, as of a single start, or two agree and no start waits that may find another minimum
     if not len(apart) or (len(rows) - len(apart) >= 2 and not (len(fresh) and several)):
         return chains
     behind = chains.lowest - min(lowest_cost(searches), options.known_cost)

@@ -143,7 +143,7 @@ def fit_null(
     A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals, is taken up again; where
     converged starts disagree, more of them are made.
     """
-    belief, options = Belief((base,), torch.zeros(1, dtype=torch.float64)), SearchOptions()
+    belief, options = _belief((base,)), SearchOptions()
     search = partial(assimilate, belief, batch, simulator, warn=False, progress=progress)
     fit = search(seed=seed, options=options).fits[0]
     if fit.certificate.gradient >= options.gradient:
@@ -222,8 +222,7 @@ def _fit_alike(
 ) -> list[ModelFit]:
     """Fits of hypotheses that have the same nuisances, those of a batch."""
     rows = [h.starts(null, starts.get(h.effects[-1].name) if h.effects else None) for h in hypotheses]
-    beliefs = tuple(h.belief for h in hypotheses)
-    belief = Belief(beliefs, torch.zeros(len(beliefs), dtype=torch.float64))
+    belief = _belief(h.belief for h in hypotheses)
     nuisances = [deviating(null, hypothesis) for hypothesis in hypotheses]
     search = partial(_descend, belief, batch, simulator, seed=seed, starts=rows, nuisances=nuisances, progress=progress)
     found = search(options=options)
@@ -344,7 +343,7 @@ def finish(
 
 def as_assimilation(fit: ModelFit, batch: ExperimentBatch) -> Assimilation:
     """One fit as an assimilation, for functions that take one."""
-    return Assimilation(Belief((fit.prior,), torch.zeros(1, dtype=torch.float64)), batch, (fit,))
+    return Assimilation(_belief((fit.prior,)), batch, (fit,))
 
 
 def promised(fit: ModelFit) -> float:

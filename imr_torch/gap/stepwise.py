@@ -35,7 +35,7 @@ Ended = Literal["adequate", "explains no more", "unsettled", "most"]
 """Why a selection has no further step."""
 
 _ENDS: dict[Ended, str] = {
-    "adequate": "what is left is noise",
+    "adequate": "the last step, which leaves only noise on the fitted curves, is not the one that does best on others",
     "explains no more": "no further effect of the library was found to explain it",
     "unsettled": "a further effect that may explain it could not be judged, since its fit did not converge",
     "most": "more additions were not tried",

@@ -66,6 +66,19 @@ def test_that_what_is_left_and_where_is_said_of_a_rung_that_is_not_adequate(sele
     assert "no further effect" in said
 
 
+def test_that_an_adequate_last_step_which_predicts_worse_is_told_apart_from_what_is_reported(selected) -> None:
+    selection = selected[1].selection
+    before, last = selection.steps[1], selection.steps[-1]
+    left = replace(before, test=replace(before.test, p_value=1e-9), log_score=(9.0, 1.0), closed=(0.1, 0.3, 0.5))
+    worse = replace(selection, steps=(selection.steps[0], left, replace(last, log_score=(1.0, 1.0))))
+    assert worse.best is left
+    said = str(worse)
+    assert said.endswith(
+        "the last step, which leaves only noise on the fitted curves, is not the one that does best on others."
+    )
+    assert "what is left is noise" not in said
+
+
 def test_that_what_explains_the_designs_it_was_fitted_to_but_no_other_closes_nothing() -> None:
     batch = shoot({"sound_field": 0.05, "sound_frequency": 1.5, "sound_phase": 0.3}, DESIGNS, repeats=40)
     effects = library(("refraction", "surface_tension", "gas_loss"))
