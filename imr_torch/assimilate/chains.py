@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from imr_torch.assimilate.curvature import MOST
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.assimilate.masking import Masked
@@ -43,6 +44,9 @@ class Chains:
         finished: ``C`` booleans.
         around: per chain its point and the points beside it, simulated; None where not done.
         equations: per chain the last linearisation.
+        origin: per chain the points simulated for the last linearisation, if by the solver steps of its leader; else None.
+        curvature: of the cost, beside that of Gauss and Newton (:mod:`imr_torch.assimilate.curvature`); zero where not known,
+            and of no size where there are too many coordinates.
         restarts: how often chains were restarted.
         simulated: bubbles simulated for sensitivities so far; ``failed`` is how many of them failed.
         failed: see ``simulated``.
@@ -65,6 +69,8 @@ class Chains:
     finished: Bool[Tensor, "chains"]
     around: tuple[Neighbourhood | None, ...]
     equations: tuple[NormalEquations | None, ...]
+    origin: tuple[Neighbourhood | None, ...]
+    curvature: Float[Tensor, "chains coordinates coordinates"]
     restarts: int = 0
     simulated: int = 0
     failed: int = 0
@@ -81,6 +87,8 @@ class Chains:
         seen, count = posterior.predict(point), len(point.gel)
         cost = -posterior.log_joint(point, seen)
         masked, numbers = Masked.of(posterior), torch.zeros(count, dtype=torch.float64)
+        joint = posterior.size + point.nuisances[0].numel()
+        joint = joint if joint <= MOST else 0
         return cls(
             posterior=posterior,
             masked=masked,
@@ -99,6 +107,8 @@ class Chains:
             finished=~torch.isfinite(cost),
             around=(None,) * count,
             equations=(None,) * count,
+            origin=(None,) * count,
+            curvature=torch.zeros(count, joint, joint, dtype=torch.float64),
         )
 
     def __len__(self) -> int:
@@ -147,6 +157,8 @@ class Chains:
             masking=False,
             damping=_DAMPING,
             around=None,
+            origin=None,
+            curvature=0.0,
         )
 
     def near(self, rows: Int[Tensor, "rows"]) -> Neighbourhood:

@@ -2,8 +2,9 @@
 
 Near a minimum a chain gets a *leader*, the point whose solver steps all its bubbles take: the cost is then a smooth function,
 equal to itself from iteration to iteration and between chains, where solves that each choose their own steps differ by some
-1e-4 in R*. Steps are those of Levenberg and Marquardt, several dampings where the first does not lower the cost as predicted,
-and are taken only if they lower the exact cost. Which chains are active is decided elsewhere
+1e-4 in R*. Behind a leader it also learns the curvature that Gauss-Newton leaves out
+(:mod:`imr_torch.assimilate.curvature`). Steps are those of Levenberg and Marquardt, several dampings where the first does not
+lower the cost as predicted, and are taken only if they lower the exact cost. Which chains are active is decided elsewhere
 (:mod:`imr_torch.assimilate.multistart`).
 """
 
@@ -15,8 +16,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.chains import Chains
+from imr_torch.assimilate.curvature import damped_step, updated
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.gauss_newton import NormalEquations
+from imr_torch.assimilate.gauss_newton import NormalEquations, stacked
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.assimilate.secant import carried
@@ -44,6 +46,7 @@ def iterate(chains: Chains, options: SearchOptions) -> Chains:
     if bool(arrived.any()):
         chains, equations = _linearised(chains.put(rows[arrived], masking=False), rows)
     gradient = equations.whitened_gradient
+    chains = _curved(chains, rows, equations)
     chains = chains.put(
         rows,
         gradient=gradient,
@@ -58,6 +61,20 @@ def iterate(chains: Chains, options: SearchOptions) -> Chains:
         chains = _stepped(chains, rows[moving], equations[moving], options)
         chains = _led(_continued(before, chains, rows[moving], options), rows[moving])
     return chains
+
+
+def _curved(chains: Chains, rows: Tensor, equations: NormalEquations) -> Chains:
+    """With the curvature of chains learned from their last step, if all of it was seen with the solver steps of one leader."""
+    led = chains.leading[rows] & ~chains.masking[rows]
+    known = torch.tensor([chains.origin[row] is not None for row in rows.tolist()]) & led
+    if chains.curvature.numel() and bool(known.any()):
+        own = rows[known]
+        points = [p for row in own.tolist() if (p := chains.origin[row]) is not None]
+        before = Neighbourhood.stack(points), stacked([e for row in own.tolist() if (e := chains.equations[row]) is not None])
+        after = chains.near(own), equations[known]
+        chains = chains.put(own, curvature=updated(chains.curvature[own], before, after))
+    now = [chains.around[row] if ahead else None for row, ahead in zip(rows.tolist(), led.tolist(), strict=True)]
+    return chains.put(rows, origin=now)
 
 
 def predict_led(chains: Chains, rows: Int[Tensor, "rows"], point: Point) -> Float[Tensor, "rows points experiments frames"]:
@@ -204,7 +221,7 @@ def _continued(before: Chains, chains: Chains, rows: Tensor, options: SearchOpti
 
 def _damped_step(chains: Chains, rows: Tensor, equations: NormalEquations, damping: Float[Tensor, "rows points"]) -> Point:
     """``C x N`` points to which steps of ``N`` dampings lead, none of them farther than allowed."""
-    steps = [equations.step(own) for own in damping.unbind(1)]
+    steps = [damped_step(equations, chains.curvature[rows], own) for own in damping.unbind(1)]
     gel_step, nuisance_step = (torch.stack(parts, dim=1) for parts in zip(*steps, strict=True))
     shorter = (_LONGEST_STEP / gel_step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)
     own = chains.point[rows]
@@ -228,7 +245,7 @@ def _unstuck(chains: Chains, rows: Tensor) -> Chains:
 
 def _follow_oneself(chains: Chains, rows: Tensor) -> Chains:
     """Make the current points of chains their leaders."""
-    return chains.put(rows, leading=True, leader=chains.point[rows], around=None)
+    return chains.put(rows, leading=True, leader=chains.point[rows], around=None, origin=None)
 
 
 def _led(chains: Chains, rows: Tensor) -> Chains:
@@ -242,5 +259,5 @@ def _led(chains: Chains, rows: Tensor) -> Chains:
         if not close.numel():
             chains = _follow_oneself(chains, this)
         elif not (close == row).any():
-            chains = chains.put(this, around=None, leading=True, leader=chains.leader[close[:1]])
+            chains = chains.put(this, around=None, origin=None, leading=True, leader=chains.leader[close[:1]])
     return chains

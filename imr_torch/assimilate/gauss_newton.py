@@ -5,6 +5,7 @@ standard normal priors. The normal matrix is an arrow: nuisances of different ex
 they are eliminated one experiment at a time (Schur complement), and any number of experiments costs the same per piece.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -104,6 +105,11 @@ class NormalEquations:
         damped = self._eliminate(damping)
         gel = -torch.linalg.solve(damped.hessian, damped.gradient[..., None])[..., 0]
         return gel, damped.nuisance_step + (damped.nuisance_response @ gel[..., None, :, None])[..., 0]
+
+
+def stacked(parts: Sequence[NormalEquations]) -> NormalEquations:
+    """Equations of single points as those of ``C`` points."""
+    return NormalEquations(*(torch.stack([getattr(p, b.name) for p in parts]) for b in fields(NormalEquations)))
 
 
 def definite(hessian: Float[Tensor, "*batch controls controls"]) -> Float[Tensor, "*batch controls controls"]:

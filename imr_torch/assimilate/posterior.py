@@ -87,11 +87,20 @@ class Posterior(ForwardModel):
             by_gel: its sensitivity to the gel.
             by_nuisance: to the nuisances.
         """
-        slope = _likelihood_slope(self.batch, prediction)[..., None]
+        slope = self.likelihood_slope(prediction)[..., None]
         gradients = (by_gel.mT @ slope)[..., 0].sum(-2), (by_nuisance.mT @ slope)[..., 0]
         sd = self.batch.sd(prediction)
         whitened = [self.batch.whiten(x.movedim(-1, 0), sd[None]).movedim(0, -1) for x in (by_gel, by_nuisance)]
         return normal_equations(point.gel, point.nuisances, gradients, (whitened[0], whitened[1]))
+
+    def likelihood_slope(
+        self, prediction: Float[Tensor, "*batch experiments frames"]
+    ) -> Float[Tensor, "*batch experiments frames"]:
+        """Gradient of the negative log likelihood over predictions."""
+        with torch.enable_grad():
+            point = prediction.detach().requires_grad_()
+            (slope,) = torch.autograd.grad(-self.batch.log_likelihood(point).sum(), point)
+        return slope
 
     def linearise(self, point: Point) -> NormalEquations:
         """Gauss-Newton normal equations at points."""
@@ -164,11 +173,3 @@ class Neighbourhood:
     def equations(self) -> NormalEquations:
         """Gauss-Newton normal equations at the points, with the exact gradient."""
         return self.posterior.equations(self.point, self.centre, *self.slopes)
-
-
-def _likelihood_slope(batch: ExperimentBatch, prediction: Tensor) -> Tensor:
-    """Gradient of the negative log likelihood over predictions ``... x E x T``."""
-    with torch.enable_grad():
-        point = prediction.detach().requires_grad_()
-        (slope,) = torch.autograd.grad(-batch.log_likelihood(point).sum(), point)
-    return slope
