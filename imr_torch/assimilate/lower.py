@@ -82,8 +82,9 @@ def lower_minima(
     starts, nuisances = [], []
     for fit, point in zip(fits, points, strict=True):
         second = around(fit.chol, generator(child(seed, "lower", fit.model)), _AWAY)
-        starts.append(point.gel + torch.stack((torch.zeros_like(second), second)))
-        nuisances.append(point.nuisances)
+        moves = torch.stack((torch.zeros_like(second), second))
+        starts.append(point.gel + moves)
+        nuisances.append(point.nuisances + (fit.nuisance_response @ moves[:, None, :, None])[..., 0])
     belief = Belief(tuple(fit.prior for fit in fits), torch.zeros(len(fits), dtype=torch.float64))
     found = assimilate(
         belief,

@@ -40,7 +40,7 @@ def assimilate(
     options: SearchOptions | None = None,
     near: Assimilation | None = None,
     starts: Sequence[Float[Tensor, "starts _"]] | None = None,
-    nuisances: Sequence[Float[Tensor, "experiments nuisances"]] | None = None,
+    nuisances: Sequence[Float[Tensor, "*starts experiments nuisances"]] | None = None,
     warn: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:
@@ -56,7 +56,8 @@ def assimilate(
             prior draws; the starts are then perturbed copies of its optimum.
         starts: per model, rows of ``d`` whitened coordinates (see :class:`imr_torch.assimilate.ModelFit`) to start from, in
             place of prior draws; a single one has none to agree with, so that its certificate says that it did not converge.
-        nuisances: per model, ``E x w`` standardised nuisances with which its starts begin; zero by default.
+        nuisances: per model, standardised nuisances with which its starts begin, ``E x w`` for all of them or ``S x E x w``;
+            zero by default.
         warn: whether a fit that did not converge gives a ``ConvergenceWarning``; False where the caller reads certificates.
         progress: called with one line per iteration.
 

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from torch import Tensor
 
 from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.chains import Chains, lowest_cost
@@ -60,8 +59,9 @@ def enter_deeper_basins(searches: Searches, options: SearchOptions, source: torc
             result.append(chains)
             continue
         any_moved, rows = True, chains.ranked[:2]
-        gels = torch.cat((here.gel, _beside(chains, int(best), _AWAY[0], 1, source)))
-        chains = chains.restarted(rows, Point(gels, deeper.expand(len(rows), -1, -1)))
+        other = _beside(chains, Point(here.gel[0], deeper[0]), int(best), _AWAY[0], 1, source)
+        both = Point(torch.cat((here.gel, other.gel)), torch.cat((deeper, other.nuisances)))
+        chains = chains.restarted(rows, both[: len(rows)])
         result.append(replace(chains, restarts=0))
     return result, any_moved
 
@@ -104,8 +104,8 @@ def _restarted(searches: Sequence[Chains], number: int, options: SearchOptions, 
         return chains.put(fresh, finished=False)
     if not bool(chains.finished.all()) or chains.restarts == len(_AWAY) or _lags(behind, options, 1.0):
         return chains
-    gels = _beside(chains, int(rows[0]), _AWAY[chains.restarts], len(apart), source)
-    point = Point(gels, chains.point.nuisances[rows[0]].expand(len(apart), -1, -1))
+    best = int(rows[0])
+    point = _beside(chains, chains.point[best], best, _AWAY[chains.restarts], len(apart), source)
     return replace(chains.restarted(apart, point), restarts=chains.restarts + 1)
 
 
@@ -126,6 +126,10 @@ def _promising(chains: Chains, searches: Sequence[Chains]) -> bool:
     return float((chains.begun - chains.cost)[best].nan_to_num(0.0)) >= _FAIR * max(gained)
 
 
-def _beside(chains: Chains, row: int, away: float, count: int, source: torch.Generator) -> Tensor:
-    """``count x d`` gels about a chain's, so many posterior standard deviations away."""
-    return chains.point.gel[row] + torch.stack([around(chains.scale[row], source, away) for _ in range(count)])
+def _beside(chains: Chains, point: Point, row: int, away: float, count: int, source: torch.Generator) -> Point:
+    """``count`` points about one, so many posterior standard deviations of a chain away, whose nuisances follow the gel."""
+    moves, equations = torch.stack([around(chains.scale[row], source, away) for _ in range(count)]), chains.equations[row]
+    nuisances = point.nuisances.expand(count, -1, -1)
+    if equations is not None:
+        nuisances = nuisances + (equations.reduced.nuisance_response @ moves[:, None, :, None])[..., 0]
+    return Point(point.gel + moves, nuisances)

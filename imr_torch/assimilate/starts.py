@@ -33,9 +33,9 @@ def best_prior_draws(posterior: Posterior, options: SearchOptions, source: torch
 def given(
     posteriors: Sequence[Posterior],
     gels: Sequence[Float[Tensor, "starts _"]],
-    nuisances: Sequence[Float[Tensor, "experiments nuisances"]] | None,
+    nuisances: Sequence[Float[Tensor, "*starts experiments nuisances"]] | None,
 ) -> list[Point]:
-    """Given gels, a row or more of each model; all those of a model begin with the same nuisances, zero by default.
+    """Given gels, a row or more of each model, with nuisances of each or for all of a model; zero by default.
 
     Raises:
         ShapeError: if the gels do not suit the models.
@@ -52,9 +52,10 @@ def beside(posterior: Posterior, fit: ModelFit, options: SearchOptions, source: 
     """A model's optimum in an earlier assimilation, and perturbed copies of it."""
     noise = torch.stack([around(fit.chol, source, BESIDE) for _ in range(options.starts)])
     noise[0] = 0.0
-    point = Point(fit.mean + noise, fit.nuisances.expand(options.starts, -1, -1))
+    point = Point(fit.mean + noise, fit.nuisances_at(fit.mean + noise))
     failed = torch.isinf(posterior.log_joint(point))
-    return Point(torch.where(failed[:, None], fit.mean, point.gel), point.nuisances)
+    own = Point(fit.mean.expand_as(point.gel), fit.nuisances.expand_as(point.nuisances))
+    return point.put(torch.nonzero(failed)[:, 0], own[failed])
 
 
 def around(chol: Float[Tensor, "controls controls"], source: torch.Generator, away: float) -> Float[Tensor, "controls"]:
