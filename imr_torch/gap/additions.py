@@ -69,7 +69,7 @@ def fit_gels(inquiry: Inquiry, null: ModelFit, alone: Sequence[ModelFit] | None,
         return {}
     alone = alone or fit_alone(null, inquiry.batch, inquiry.simulator, seed=child(seed, "alone"))
     apart = as_one_fit(null, alone, scatters(inquiry.base, null.prior))
-    search = partial(fit_hypotheses, batch=inquiry.batch, simulator=inquiry.simulator, seed=seed)
+    search = partial(fit_hypotheses, batch=inquiry.batch, simulator=inquiry.simulator, seed=seed, twice=0)
     return {frozenset({GEL_SCATTER}): _from_both(search, hypothesis, apart, null)}
 
 
@@ -124,7 +124,7 @@ def _additions(inquiry: Inquiry, here: Here, fits: Fits, *, seed: int) -> list[F
     of_effects = [h for h in missing if h.own_gels is here.chosen.own_gels]
     starts = {} if left is None else dict(left.starts)
     starts |= {effect.name: near_values(here.fit, effect) for effect in here.chosen.effects}
-    search = partial(fit_hypotheses, batch=inquiry.batch, simulator=inquiry.simulator, seed=seed, starts=starts)
+    search = partial(fit_hypotheses, batch=inquiry.batch, simulator=inquiry.simulator, seed=seed, starts=starts, twice=0)
     found = dict[str, ModelFit]()
     if len(longer) - len(missing) <= _CANDIDATES:  # no attribution was made of these
         ranked = [] if left is None else [block.name for block in left.test.blocks]
@@ -150,8 +150,8 @@ def _without_superfluous(inquiry: Inquiry, added: str, chosen: Hypothesis, fit: 
         if not tried:
             break
         starts = {effect.name: near_values(fit, effect) for effect in chosen.effects}
-        options = replace(_FIT, rival=fit.cost)
-        found = fit_hypotheses(tried, fit, inquiry.batch, inquiry.simulator, seed=seed, starts=starts, options=options)
+        search = partial(fit_hypotheses, batch=inquiry.batch, simulator=inquiry.simulator, seed=seed, starts=starts, twice=0)
+        found = search(tried, fit, options=replace(_FIT, rival=fit.cost))
         best = max(tried, key=lambda h: laplace_evidence(found[h.name]))
         if laplace_evidence(found[best.name]) < laplace_evidence(fit) - EXPLAINS:
             break

@@ -31,13 +31,14 @@ EXPLAINS = 3.0
 """Nats that an effect must explain to count as more than nothing."""
 GEL_SCATTER = "gel_scatter"
 """Name of the hypothesis that the gel, and with it how strong effects are, differs between experiments."""
+LEADING = 6
+"""Fits of an attribution that get a second start by the simulator's own bubbles."""
 
 _AMOUNT = 0.5  # standard deviations of its prior by which an effect's amplitude differs, however small it is
 _GEL_APART = 0.25  # prior standard deviations between the starts of a fit that frees no effect
 _MANY = 6  # starts where fewer disagree
 _AGAIN = 3  # starts beside a fit whose own disagree
 _ROUGHLY = 0.03  # gradient at which a fit by coarse bubbles ends
-_LEADING = 6  # fits that get a second start by the simulator's own bubbles
 _FAR = 3.0  # chi squared per degree of freedom of a fit whose collapses may lie on the wrong side of a frame
 _TOO_COARSE = 200.0  # nats of error of the cost beyond which coarse bubbles lead nowhere
 
@@ -180,6 +181,7 @@ def fit_hypotheses(
     seed: int,
     starts: Mapping[str, Sequence[Sequence[float]]] | None = None,
     options: SearchOptions | None = None,
+    twice: int = LEADING,
     progress: Progress | None = None,
 ) -> dict[str, ModelFit]:
     """Fit hypotheses from the null fit, in one batch; those with gels that differ in another.
@@ -196,6 +198,7 @@ def fit_hypotheses(
         seed: of the search.
         starts: name of a last effect -> values from which to start it; its own starts where not given.
         options: how to search.
+        twice: fits of lowest cost by coarse bubbles that get a second start by the simulator's own; with 0 none is certified.
         progress: called with one line per iteration.
 
     Returns:
@@ -204,7 +207,7 @@ def fit_hypotheses(
     found, options = dict[str, ModelFit](), options or SearchOptions()
     together = [h for h in hypotheses if not h.own_gels]
     for kind in (*([together] if together else []), *([h] for h in hypotheses if h.own_gels)):
-        fits = _fit_alike(kind, null, kind[0].seen(batch), simulator, seed, starts or {}, options, progress)
+        fits = _fit_alike(kind, null, kind[0].seen(batch), simulator, seed, starts or {}, options, twice, progress)
         found |= {h.name: fit for h, fit in zip(kind, fits, strict=True)}
         options = replace(options, rival=min(options.known_cost, *(fit.cost for fit in fits)))
     return found
@@ -218,13 +221,15 @@ def _fit_alike(
     seed: int,
     starts: Mapping[str, Sequence[Sequence[float]]],
     options: SearchOptions,
+    twice: int,
     progress: Progress | None,
 ) -> list[ModelFit]:
     """Fits of hypotheses that have the same nuisances, those of a batch."""
     rows = [h.starts(null, starts.get(h.effects[-1].name) if h.effects else None) for h in hypotheses]
     belief = _belief(h.belief for h in hypotheses)
     nuisances = [deviating(null, hypothesis) for hypothesis in hypotheses]
-    search = partial(_descend, belief, batch, simulator, seed=seed, starts=rows, nuisances=nuisances, progress=progress)
+    search = partial(_descend, belief, batch, simulator, seed=seed, starts=rows, nuisances=nuisances, twice=twice)
+    search = partial(search, progress=progress)
     found = search(options=options)
     if overdispersion(null, batch) > _FAR:
         lowest = min(options.known_cost, *(fit.cost for fit in found))
@@ -254,12 +259,14 @@ def _descend(
     options: SearchOptions,
     starts: Sequence[Tensor],
     nuisances: Sequence[Tensor] | None = None,
+    twice: int = LEADING,
     progress: Progress | None = None,
 ) -> list[ModelFit]:
     """Fits by coarse bubbles, then, of those not far behind, by the simulator's own from where these ended.
 
-    The leading ones get a second start beside that. The others have the agreement of their starts by coarse bubbles in their
-    certificates. A fit that was left behind has the cost that the simulator gives it where it ended, and has not converged.
+    The first of these, so many as are to be fitted ``twice``, get a second start beside that. The others have the agreement of
+    their starts by coarse bubbles in their certificates, and none where no fit is made twice. A fit that was left behind has
+    the cost that the simulator gives it where it ended, and has not converged.
     """
     search = partial(assimilate, seed=seed, warn=False, progress=progress)
     coarse = coarser(simulator)
@@ -276,19 +283,20 @@ def _descend(
     if not near:  # a fit that is known already is better than all
         return fits
     near.sort(key=lambda i: fits[i].cost)
-    ahead, others = near[:_LEADING], near[_LEADING:]
+    ahead, others = near[:twice], near[twice:]
     own = replace(options, starts=2, mask_collapses=False)
-    kept = _belief(fits[i].prior for i in ahead)
-    start = Assimilation(kept, batch, tuple(fits[i] for i in ahead))
-    for i, fit in zip(ahead, search(kept, batch, simulator, options=own, near=start).fits, strict=True):
-        fits[i] = _certified(fit, max(fit.certificate.agreement, found[i].certificate.agreement), own)
-    if others:
+    if ahead:
+        kept = _belief(fits[i].prior for i in ahead)
+        start = Assimilation(kept, batch, tuple(fits[i] for i in ahead))
+        for i, fit in zip(ahead, search(kept, batch, simulator, options=own, near=start).fits, strict=True):
+            fits[i] = _certified(fit, max(fit.certificate.agreement, found[i].certificate.agreement), own)
         own = replace(own, rival=min(options.known_cost, *(fits[i].cost for i in ahead)))
+    if others:
         gels, moved = [fits[i].mean[None] for i in others], [fits[i].nuisances for i in others]
         kept = _belief(fits[i].prior for i in others)
         ended = search(kept, batch, simulator, options=own, starts=gels, nuisances=moved).fits
         for i, fit in zip(others, ended, strict=True):
-            fits[i] = _certified(fit, found[i].certificate.agreement, own)
+            fits[i] = _certified(fit, found[i].certificate.agreement, own) if twice else fit
     return fits
 
 
@@ -337,7 +345,8 @@ def finish(
         return ended
     source = generator(child(seed, "beside"))
     starts = torch.stack([ended.mean + around(ended.chol, source, BESIDE) for _ in range(_AGAIN)])
-    again = search(near.prior, batch, simulator, seed=child(seed, "again"), starts=[starts], nuisances=[ended.nuisances])
+    moved = [ended.nuisances_at(starts)]
+    again = search(near.prior, batch, simulator, seed=child(seed, "again"), starts=[starts], nuisances=moved)
     return lower(ended, again.fits[0], options)
 
 
