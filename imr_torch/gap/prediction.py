@@ -28,6 +28,7 @@ _STEPS = 40  # for the nuisances of a held-out design, at most; most take two to
 _TIME_ZERO = NUISANCES.index("time_zero")
 _REACH, _MOST_STARTS = 3.0, 30  # standard deviations of time zero that are scanned, and values at most, on either side
 _SETTLED = 0.01  # nats that another step is expected to gain, below which they are fitted
+_PROMISED = 4.0  # times what a step is expected to gain that further ones may
 _DAMPING, _EASED, _STIFFER = 1e-3, 0.1, 10.0  # of the first step, over the Hessian; factors on it after a good and a bad step
 _OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0, polish=False)  # .05 nats: below training noise
 
@@ -142,17 +143,20 @@ def held_out(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Hel
     size, columns, data = len(fit.mean), (batch.nuisance_sds > 0.0).any(0), batch.mask.numel()
     posterior = Posterior(fit.prior, batch, simulator)
 
-    def at(moved: Tensor) -> tuple[Linearisation, Tensor, Tensor]:
+    def at(moved: Tensor, moves_gel: bool = False) -> tuple[Linearisation, Tensor]:
         nuisances = torch.zeros_like(batch.nuisance_sds)
         nuisances[0, columns] = moved
-        line = linearise_at(Point(fit.mean, nuisances), fit.prior, batch, simulator)
-        return line, line.fitted[:data, :size], line.fitted[:data, size:]
+        line = linearise_at(Point(fit.mean, nuisances), fit.prior, batch, simulator, moves_gel=moves_gel)
+        return line, line.fitted[:data, size:]
 
     likely = fit.nuisances[:, len(NUISANCES) :]  # the gel of any curve of the fit, where they have gels of their own
     places = torch.cat((torch.zeros_like(likely[:1]), likely)) if likely.numel() else likely[:1]
-    found = [_most_probable(at, _start(posterior, fit.mean, own)[columns], batch) for own in places]
-    moved, (line, by_gel, by_own), _ = min(found, key=lambda end: end[2])
-    residual = line.residual[:data]
+    moved, lowest = torch.zeros(int(columns.sum()), dtype=torch.float64), math.inf
+    for start, _ in sorted((_start(posterior, fit.mean, own) for own in places), key=lambda start: start[1]):
+        end, cost = _most_probable(at, start[columns], batch, lowest)
+        moved, lowest = (end, cost) if cost < lowest else (moved, lowest)
+    line, by_own = at(moved, moves_gel=True)
+    by_gel, residual = line.fitted[:data, :size], line.residual[:data]
     # the predictive mean is at the fitted gel and the prior mean of the nuisances
     centred = residual + by_own @ moved
     spread = torch.cat((by_gel @ fit.chol, by_own), 1)
@@ -166,8 +170,8 @@ def held_out(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Hel
     return HeldOut(residual, by_own, density, square, counts, sound, by_gel @ fit.chol, phase)
 
 
-def _start(posterior: Posterior, gel: Tensor, deviations: Tensor) -> Tensor:
-    """Standardised nuisances from which to descend: time zero where its cost is lowest at a gel with its own deviations.
+def _start(posterior: Posterior, gel: Tensor, deviations: Tensor) -> tuple[Tensor, float]:
+    """Standardised nuisances from which to descend, and their cost: time zero is scanned, at given deviations of the gel.
 
     A frame next to a collapse makes the cost of time zero have several minima.
     """
@@ -178,19 +182,18 @@ def _start(posterior: Posterior, gel: Tensor, deviations: Tensor) -> Tensor:
     tried[:, 0, len(NUISANCES) :] = deviations
     tried[:, 0, _TIME_ZERO] = torch.linspace(-_REACH, _REACH, count, dtype=torch.float64) if count > 1 else 0.0
     cost = -posterior.log_joint(Point(gel.expand(count, -1), tried)).nan_to_num(nan=-math.inf)
-    return tried[int(cost.argmin()), 0]
+    best = int(cost.argmin())
+    return tried[best, 0], float(cost[best])
 
 
-_At = Callable[[Tensor], tuple[Linearisation, Tensor, Tensor]]
-"""Standardised nuisances to local sensitivities, those to the gel (``n_t x d``), and those to the nuisances (``n_t x c``)."""
+_At = Callable[[Tensor], tuple[Linearisation, Tensor]]
+"""Standardised nuisances to local sensitivities, and those to the nuisances alone (``n_t x c``)."""
 
 
-def _most_probable(
-    at: _At, moved: Tensor, batch: ExperimentBatch
-) -> tuple[Tensor, tuple[Linearisation, Tensor, Tensor], float]:
-    """Standardised nuisances of the lowest cost near some, what holds there, and that cost.
+def _most_probable(at: _At, moved: Tensor, batch: ExperimentBatch, known: float) -> tuple[Tensor, float]:
+    """Standardised nuisances of the lowest cost near some, and that cost.
 
-    By damped Gauss-Newton steps that lower the cost.
+    By damped Gauss-Newton steps that lower the cost, given up where they cannot lead below a cost that is known.
     """
 
     def cost(moved: Tensor, line: Linearisation) -> float:
@@ -200,11 +203,12 @@ def _most_probable(
     here, damping = at(moved), _DAMPING
     lowest = cost(moved, here[0])
     for _ in range(_STEPS if len(moved) else 0):
-        line, _, slopes = here
+        line, slopes = here
         gradient = slopes.mT @ line.residual[: len(slopes)] - moved
         hessian = torch.eye(len(moved), dtype=torch.float64) + slopes.mT @ slopes
         step = torch.linalg.solve(hessian + damping * hessian.diagonal().diag(), gradient)
-        if float(step @ gradient) < 2.0 * _SETTLED:
+        expected = 0.5 * float(step @ gradient)
+        if expected < _SETTLED or lowest - _PROMISED * expected > known:
             break
         there = at(moved + step)
         value = cost(moved + step, there[0])
@@ -212,4 +216,4 @@ def _most_probable(
         damping *= _EASED if lower else _STIFFER
         if lower:
             moved, here, lowest = moved + step, there, value
-    return moved, here, lowest
+    return moved, lowest

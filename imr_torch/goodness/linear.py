@@ -108,7 +108,9 @@ def linearise(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Li
     return linearise_at(fit.point, fit.prior, batch, simulator)
 
 
-def linearise_at(point: Point, prior: ModelBelief, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
+def linearise_at(
+    point: Point, prior: ModelBelief, batch: ExperimentBatch, simulator: Simulator, *, moves_gel: bool = True
+) -> Linearisation:
     """Local sensitivities at any point, as at a fit.
 
     Args:
@@ -116,9 +118,10 @@ def linearise_at(point: Point, prior: ModelBelief, batch: ExperimentBatch, simul
         prior: of the gel.
         batch: the data, with as many experiments as the point.
         simulator: makes the bubbles.
+        moves_gel: whether sensitivities to the gel are wanted; without, they are zero and cost no bubbles.
     """
     posterior = Posterior(prior, batch, simulator)
-    near = posterior.neighbourhood(point)
+    near = posterior.neighbourhood(point, None if moves_gel else torch.zeros(len(point.gel), 0, dtype=torch.float64))
     columns, experiments, sd = posterior.uncertain, len(batch.experiments), batch.sd(near.centre)
     by_gel, by_nuisance = (batch.whiten(x.movedim(-1, 0), sd).nan_to_num() for x in near.slopes)  # ... x E x T each
     own = torch.eye(experiments, dtype=torch.float64)[:, :, None] * by_nuisance[columns][:, None]  # C x E x E x T
