@@ -330,8 +330,10 @@ def solve_batch(
 
 def _explain(status: Tensor, parameters: Tensor) -> Tensor:
     """Failures by the gel's parameters: where a term's energy has no lower bound, it may pull a collapse inwards."""
-    theta = dict(zip(PARAMETERS.names, parameters.unbind(1), strict=True))
     failed = (status != Status.DONE) & (status != Status.LOST_WORKER)
+    if not bool(failed.any()):
+        return status
+    theta = dict(zip(PARAMETERS.names, parameters.unbind(1), strict=True))
     for term in TERMS:
         if term.unbounded is not None:
             gave_way = failed & term.unbounded(*(theta[name] for name in term.names))

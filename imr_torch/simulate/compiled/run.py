@@ -6,9 +6,10 @@ bit for bit.
 
 import functools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
+from threading import get_ident
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
 from imr_torch.simulate.compiled import followers, polytropic, step
 from imr_torch.simulate.compiled.build import Registry, announced, engine, switches
+from imr_torch.simulate.compiled.paths import EXHAUSTED, Leaders
 from imr_torch.simulate.compiled.vectors import as_rows
 from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.driving import DRIVING_LAWS, LawDriving
@@ -29,8 +31,10 @@ from imr_torch.simulate.engines import cores
 from imr_torch.simulate.gas import polytropic as polytropic_law
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.radial import RADIAL_EQUATIONS
+from imr_torch.simulate.simulator import Status
 
 _CHUNK = 64  # bundles between two looks at the keyboard, at most
+_KEPT = 64  # sets of arrays that are kept for the next call
 _SHARES = 8  # chunks a thread, at least, so that none waits long for the last
 
 
@@ -91,10 +95,10 @@ def solve_transport(
     spaces = _space(resolution, as_rows), _space(resolution, np.ascontiguousarray)
     sizes = len(spaces[0][-3]), len(spaces[0][-1])
 
-    def arrays(states: int, width: int) -> tuple[Any, ...]:
-        return step.work_for(*sizes, states, width), followers.arrays_for(*sizes, states, width)
-
-    return _solve("solve_transport", bubbles, terms, times, width, (spaces, *limits), arrays, threads)
+    arrays = partial(_transport_arrays, *sizes)
+    leaders = Leaders(len(times) // width, times.shape[1], limits[1])
+    settings = (spaces, *limits, leaders.steps, leaders.known)
+    return _solve("solve_transport", bubbles, terms, times, width, settings, arrays, threads, leaders, (resolution, *limits))
 
 
 def solve_polytropic(
@@ -112,7 +116,16 @@ def solve_polytropic(
     return _solve("solve_polytropic", bubbles, terms, times, width, settings, _polytropic_arrays, threads)
 
 
-def _polytropic_arrays(states: int, _: int) -> tuple[np.ndarray, ...]:
+@functools.lru_cache(maxsize=_KEPT)
+def _transport_arrays(nodes: int, outer_nodes: int, states: int, width: int, _: int) -> tuple[Any, ...]:
+    """What the entry point works in; the last argument is the thread whose arrays these are, which nothing else uses."""
+    sizes = nodes, outer_nodes, states, width
+    return step.work_for(*sizes), followers.arrays_for(*sizes)
+
+
+@functools.lru_cache(maxsize=_KEPT)
+def _polytropic_arrays(states: int, _width: int, _: int) -> tuple[np.ndarray, ...]:
+    """The same of polytropic gas."""
     return polytropic.work_for(states)
 
 
@@ -123,8 +136,10 @@ def _solve(
     times: Tensor,
     width: int,
     settings: tuple[Any, ...],
-    arrays: Callable[[int, int], tuple[Any, ...]],
+    arrays: Callable[[int, int, int], tuple[Any, ...]],
     threads: int | None,
+    leaders: Leaders | None = None,
+    same: Hashable = None,
 ) -> tuple[Tensor, ...]:
     """Integrate a batch, bundle after bundle.
 
@@ -135,8 +150,10 @@ def _solve(
         times: ``B x n_t`` tensor.
         width: members of a bundle.
         settings: what the entry point takes of the simulator's.
-        arrays: memory states and width of a bundle to the arrays that the entry point works in.
+        arrays: memory states, width of a bundle and number of a thread to the arrays that the entry point works in.
         threads: that share the bubbles; all cores if None.
+        leaders: of the bundles, some of which may be known; None where none is kept.
+        same: what leaders must have in common, beside their numbers and conditions, to be the same.
 
     Returns:
         Radius, velocity, pressure (``B x n_t`` each), status and steps (``B`` each; of the leaders).
@@ -152,11 +169,27 @@ def _solve(
     on = _acting(theta[:, of_terms], registry.terms, bubbles.terms, width)
     acting = _acting(theta[:, of_effects], registry.effects, bubbles.effects, width)
     moments = times.contiguous().numpy()
-    arguments = (width, rows, theta, on, acting, _shared(bubbles, registry), settings, moments, curves, status, steps)
+    shared = _shared(bubbles, registry)
+    arguments = (width, rows, theta, on, acting, shared, settings, moments, curves, status, steps)
     states = on @ np.array([term.states for term in registry.terms])
-    for number in np.unique(states):
-        bundles = np.flatnonzero(states == number)
-        _share_out(module, entry, bundles, arguments, partial(arrays, int(number), width), threads or cores())
+
+    def integrate(some: np.ndarray) -> None:
+        for number in np.unique(states[some]):
+            bundles = some[states[some] == number]
+            _share_out(module, entry, bundles, arguments, partial(arrays, int(number), width), threads or cores())
+
+    if leaders is None or not leaders.kept:
+        integrate(np.arange(count))
+    else:
+        conditions = (module, same, b"".join(np.asarray(x).tobytes() for x in shared))
+        parts = (rows[::width], theta[::width], on, acting, moments[::width])
+        leaders.recall([(conditions, *(part[bundle].tobytes() for part in parts)) for bundle in range(count)])
+        integrate(np.arange(count))
+        short = np.flatnonzero(status == EXHAUSTED)
+        if len(short):
+            leaders.forget(short)
+            integrate(short)
+        leaders.keep(curves[:, ::width], status == int(Status.DONE), steps)
     every = (torch.from_numpy(x).repeat_interleave(width) for x in (status, steps))
     return *torch.from_numpy(curves).unbind(0), *every
 
@@ -192,14 +225,14 @@ def _share_out(
     entry: str,
     bundles: np.ndarray,
     arguments: tuple[Any, ...],
-    arrays: Callable[[], tuple[Any, ...]],
+    arrays: Callable[[int], tuple[Any, ...]],
     threads: int,
 ) -> None:
     """Call an entry point for some bundles, in chunks, on some threads."""
     threads = min(threads, len(bundles))
-    size = max(1, min(_CHUNK, len(bundles) // (_SHARES * threads)))
+    size = _CHUNK if threads == 1 else max(1, min(_CHUNK, len(bundles) // (_SHARES * threads)))
     chunks = [bundles[first : first + size] for first in range(0, len(bundles), size)]
-    own = arrays()
+    own = arrays(get_ident())
     announced(module, entry, (chunks[0], *arguments, own))  # compiles, if need be, before threads begin
     function = getattr(module, entry)
     rest = chunks[1:]
@@ -207,7 +240,7 @@ def _share_out(
         for chunk in rest:
             function(chunk, *arguments, own)
     else:
-        for _ in _pool(threads).map(lambda chunk: function(chunk, *arguments, arrays()), rest):
+        for _ in _pool(threads).map(lambda chunk: function(chunk, *arguments, arrays(get_ident())), rest):
             pass
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from imr_torch.simulate.compiled import laws
 from imr_torch.simulate.compiled.followers import accept, alone, eightfold, follow, followers_of, start_followers
 from imr_torch.simulate.compiled.output import record
+from imr_torch.simulate.compiled.paths import EXHAUSTED
 from imr_torch.simulate.compiled.step import (
     GAMMA,
     HEAD,
@@ -61,7 +62,7 @@ def scaled_error(before, after, error, space, tolerance):
 
 
 def solve_bundle(
-    numbers, theta, terms, effects, setup, space, tolerance, max_steps, first_step, times, curves, work, followers
+    numbers, theta, terms, effects, setup, space, tolerance, max_steps, first_step, path, known, times, curves, work, followers
 ):
     """Integrate a leader and its followers, which take its steps in proportion to their time scales.
 
@@ -77,8 +78,11 @@ def solve_bundle(
         tolerance: relative error of a step.
         max_steps: attempted steps after which the bundle is given up.
         first_step: length of the first step.
+        path: ``most x 2``, length and time scale of the leader's steps; receives them, as far as there is room, where they are
+            not known.
+        known: how many of them are known; the leader is then not integrated. 0 where it is to be.
         times: ``w x n_t``.
-        curves: ``3 x w x n_t``, receives radius, velocity and pressure; NaN where a member did not get.
+        curves: ``3 x w x n_t``, receives radius, velocity and pressure; NaN where a member did not get, and of a known leader.
         work: arrays to spare.
         followers: see :class:`imr_torch.simulate.compiled.followers.Followers`.
 
@@ -103,6 +107,11 @@ def solve_bundle(
             behind |= clock[k] < last
         if count > 1 and (not behind or (clock[0] >= PATIENCE * last and clock[0] >= last)):  # output takes two nodes
             status = _DONE
+        elif known > 0:
+            if count > known:
+                status = EXHAUSTED
+            else:
+                h, paced = path[count - 1, 0], path[count - 1, 1]
         elif state[0, 0] > RUNAWAY:
             status = _RUNAWAY
         elif h < UNDERFLOW * (1.0 + clock[0]):
@@ -110,14 +119,14 @@ def solve_bundle(
         elif tries >= max_steps:
             status = _TOO_MANY
         tries += 1
-        for k in range(single):
+        for k in range(min(known, 1), single):
             member = member_of(numbers[k], theta[k], terms, effects)
             if recorded[k] < count:  # a state at which no step was tried yet
                 log_rate = linearise(state[k], clock[k], space, work, member, setup)
                 node = (clock[k], state[k, 0], state[k, 1], work.rate[1], state[k, 2], log_rate)
                 filled[k] = record(node, nodes[k], filled[k], recorded[k] > 0, times[k], curves[:, k])
                 recorded[k] = count
-            if status >= 0:
+            if status != -1:
                 continue
             length = h if k == 0 else h * (pace(state[k]) / paced)
             factorise(1.0 / (GAMMA * length), space, work)
@@ -126,19 +135,23 @@ def solve_bundle(
                 error = scaled_error(state[0], fresh[0], work.increments[STAGES - 1], space, tolerance)
                 if not error <= 1.0:
                     break
-        accepted = status < 0 and error <= 1.0
-        for which in range(len(followers.numbers) if accepted or status >= 0 else 0):
+        accepted = status == -1 and error <= 1.0
+        for which in range(len(followers.numbers) if accepted or status != -1 else 0):
             members = eightfold(which, numbers, theta, terms, effects, followers)
-            follow(which, members, status >= 0, h, paced, followers, setup, clock, nodes, work.counts, times, curves)
-        if status >= 0:
+            follow(which, members, status != -1, h, paced, followers, setup, clock, nodes, work.counts, times, curves)
+        if status != -1:
             break
         if accepted:
+            if known == 0 and count <= len(path):
+                path[count - 1, 0], path[count - 1, 1] = h, paced
             for k in range(single):
                 clock[k] += h if k == 0 else h * (pace(state[k]) / paced)
                 for i in range(state.shape[1]):
                     state[k, i] = fresh[k, i]
             accept(h, paced, clock, followers)
             count += 1
+            if known > 0:
+                continue
             paced = pace(state[0])
         factor = SHRINK
         if np.isfinite(error):
@@ -164,7 +177,7 @@ def solve_block(which, width, rows, theta, terms, effects, shared, settings, tim
         effects: see ``terms``.
         shared: what :func:`imr_torch.simulate.compiled.wall.setup_of` takes.
         settings: the entries of :class:`Space`, with rows padded and not; tolerance, steps at most, and length of the
-            first step.
+            first step; the steps of all leaders, and how many of each are known.
         times: ``B x n_t``.
         curves: ``3 x B x n_t``, receives radius, velocity and pressure.
         status: of each bundle, receives its status; ``steps`` the nodes of its path.
@@ -172,7 +185,7 @@ def solve_block(which, width, rows, theta, terms, effects, shared, settings, tim
         arrays: of :func:`imr_torch.simulate.compiled.step.work_for` and
             :func:`imr_torch.simulate.compiled.followers.arrays_for`, for the memory states that these bundles have.
     """
-    (padded, plain), tolerance, max_steps, first_step = settings
+    (padded, plain), tolerance, max_steps, first_step, paths, known = settings
     setup, space, work = setup_of(shared), Space(*padded), Work(*arrays[0])
     followers = followers_of(plain, arrays[1])
     for bundle in which:
@@ -187,6 +200,8 @@ def solve_block(which, width, rows, theta, terms, effects, shared, settings, tim
             tolerance,
             max_steps,
             first_step,
+            paths[bundle],
+            known[bundle],
             times[begin:end],
             curves[:, begin:end],
             work,
