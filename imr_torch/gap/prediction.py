@@ -207,8 +207,8 @@ def _most_probable(at: _At, moved: Tensor, batch: ExperimentBatch, known: float)
         gradient = slopes.mT @ line.residual[: len(slopes)] - moved
         hessian = torch.eye(len(moved), dtype=torch.float64) + slopes.mT @ slopes
         step = torch.linalg.solve(hessian + damping * hessian.diagonal().diag(), gradient)
-        expected = 0.5 * float(step @ gradient)
-        if expected < _SETTLED or lowest - _PROMISED * expected > known:
+        promised = _PROMISED * 0.5 * float(gradient @ torch.linalg.solve(hessian, gradient))
+        if 0.5 * float(step @ gradient) < _SETTLED or lowest - promised > known:
             break
         there = at(moved + step)
         value = cost(moved + step, there[0])
