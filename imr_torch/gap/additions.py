@@ -26,10 +26,12 @@ from imr_torch.gap.hypotheses import (
     scatters,
 )
 from imr_torch.gap.own_gels import as_one_fit, fit_alone, with_gels_of
+from imr_torch.material import Effect
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child
 
 _CANDIDATES = 6  # effects that are fitted in a later step
+_BEATEN = 2  # of these, at most, ones that were beaten in the step before
 _TRIED = 2  # of these, additions that are taken to their minimum until one converges
 _FIT = SearchOptions(starts=2, iterations=12, drop_behind=6.0, basin_rounds=0, polish=False)
 _FIT_GELS = replace(_FIT, iterations=30)
@@ -48,11 +50,19 @@ Step = tuple[Hypothesis, ModelFit, list[Fitted]]
 
 @dataclass(frozen=True)
 class Here:
-    """Where the selection stands: the hypothesis, its fit, and the gap test there, None of the base model."""
+    """Where the selection stands.
+
+    Args:
+        chosen: the hypothesis.
+        fit: its fit.
+        left: the gap test there; None of the base model.
+        beaten: what was not chosen in its place though it explained something, best first.
+    """
 
     chosen: Hypothesis
     fit: ModelFit
     left: Adequacy | None = None
+    beaten: tuple[Fitted, ...] = ()
 
 
 def fit_gels(inquiry: Inquiry, null: ModelFit, alone: Sequence[ModelFit] | None, *, seed: int) -> Fits:
@@ -124,10 +134,12 @@ def _additions(inquiry: Inquiry, here: Here, fits: Fits, *, seed: int) -> list[F
     of_effects = [h for h in missing if h.own_gels is here.chosen.own_gels]
     starts = {} if left is None else dict(left.starts)
     starts |= {effect.name: near_values(here.fit, effect) for effect in here.chosen.effects}
+    beaten = _beaten(here)
+    starts |= {effect.name: near_values(fit, effect) for effect, fit in beaten}
     search = partial(fit_hypotheses, batch=inquiry.batch, simulator=inquiry.simulator, seed=seed, starts=starts, twice=0)
     found = dict[str, ModelFit]()
     if len(longer) - len(missing) <= _CANDIDATES:  # no attribution was made of these
-        ranked = [] if left is None else [block.name for block in left.test.blocks]
+        ranked = [effect.name for effect, _ in beaten] + ([] if left is None else [block.name for block in left.test.blocks])
         last = [h.effects[-1].name for h in of_effects]
         order = sorted(range(len(last)), key=lambda i: ranked.index(last[i]) if last[i] in ranked else len(ranked))
         found = search([of_effects[i] for i in order[:_CANDIDATES]], here.fit, options=_FIT)
@@ -138,6 +150,18 @@ def _additions(inquiry: Inquiry, here: Here, fits: Fits, *, seed: int) -> list[F
     fits |= {frozenset(name.split("+")): own for name, own in found.items()}
     known = [(h, fits[frozenset(h.parts)]) for h in longer if frozenset(h.parts) in fits]
     return sorted(known, key=lambda addition: -laplace_evidence(addition[1]))
+
+
+def _beaten(here: Here) -> list[tuple[Effect, ModelFit]]:
+    """Effects that came next to the one that was chosen, and the fits with them in its place.
+
+    A score test at the fit that was chosen does not see an effect whose strength or time is far from nothing there.
+    """
+    found = list[tuple[Effect, ModelFit]]()
+    for hypothesis, fit in here.beaten:
+        new = [effect for effect in hypothesis.effects if effect not in here.chosen.effects]
+        found += [(new[0], fit)] if len(new) == 1 else []
+    return found[:_BEATEN]
 
 
 def _without_superfluous(inquiry: Inquiry, added: str, chosen: Hypothesis, fit: ModelFit, *, seed: int) -> Fitted:

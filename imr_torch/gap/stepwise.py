@@ -3,12 +3,12 @@
 The verdict names a cause only if nothing is left unexplained. Measured curves nearly always leave something, and a laboratory
 still asks which effects close how much of it, and what remains. Each step adds the effect of largest evidence beside those
 chosen, and drops those that it makes superfluous. In the first two steps the fits of the attribution serve; later ones fit the
-effects that a score test at the step before ranks first. That curves differ (``gel_scatter``) is an addition like the others:
-no effect of one gel explains two. From then on every curve has a gel of its own, and each effect a strength of its own in it.
-These differences are nuisances of a held-out curve too, so what such a step closes there holds what that curve itself says of
-them, as it does of its Rmax and time zero. A fit that does not converge is no step: the next best addition is tried.
-A step is a description of the data, not a cause, and other curves of the same gel may prefer another one: each step names the
-additions that are not clearly worse in place of its last one.
+effects that came next in the step before, and those that a score test there ranks first. That curves differ (``gel_scatter``)
+is an addition like the others: no effect of one gel explains two. From then on every curve has a gel of its own, and each
+effect a strength of its own in it. These differences are nuisances of a held-out curve too, so what such a step closes there
+holds what that curve itself says of them, as it does of its Rmax and time zero. A fit that does not converge is no step: the
+next best addition is tried. A step is a description of the data, not a cause, and other curves of the same gel may prefer
+another one: each step names the additions that are not clearly worse in place of its last one.
 """
 
 import math
@@ -239,8 +239,10 @@ def select_stepwise(
         chosen, fit, others = found
         seen.add(frozenset(chosen.parts))
         left = (tested or {}).get(chosen.name) if fit is known.get(chosen.name) else None
-        here = Here(chosen, fit, left or _left(inquiry, chosen, fit, own))
-        named = (added_by(before.chosen, h) for h in _not_clearly_worse(others, fit, laplace_evidence(before.fit), batch))
+        had = laplace_evidence(before.fit)
+        beaten = tuple(other for other in others if laplace_evidence(other[1]) > had + EXPLAINS)
+        here = Here(chosen, fit, left or _left(inquiry, chosen, fit, own), beaten)
+        named = (added_by(before.chosen, h) for h in _not_clearly_worse(others, fit, had, batch))
         steps.append(replace(_step(before, here, batch), alternatives=tuple(named)))
         if progress:
             progress(f"stepwise selection: {steps[-1].name}, misfit {steps[-1].misfit:.4f}")
