@@ -10,7 +10,7 @@ import torch
 from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
 from imr_torch.errors import InputDataError
-from imr_torch.gap import Parts, additions, describe, diagnose, library, own_gels
+from imr_torch.gap import Parts, additions, describe, diagnose, library, own_gels, prediction
 from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.document import selection_document
 from imr_torch.gap.hypotheses import (
@@ -25,9 +25,10 @@ from imr_torch.gap.hypotheses import (
 )
 from imr_torch.gap.own_gels import as_one_fit, fit_alone, with_gels_of
 from imr_torch.gap.parts import closed_by
+from imr_torch.gap.prediction import held_out
 from imr_torch.gap.report import next_step
 from imr_torch.gap.strengths import unusual_strengths, values_of_curves
-from imr_torch.goodness.linear import linearise
+from imr_torch.goodness.linear import linearise, linearise_at
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Scatter, SimulatedLaboratory, predict
 from imr_torch.population import GaussianShots, coordinate_units
@@ -207,6 +208,24 @@ def test_that_a_report_of_curves_that_differ_sends_to_the_population(selected) -
     assert "characterize --population" in next_step(said, Parts(selection=selection))
     assert "characterize --population" not in next_step(said, Parts(selection=replace(selection, steps=selection.steps[:1])))
     assert "differences between curves: misfit" in describe(report, Parts(selection=selection))
+
+
+def test_that_descents_of_a_held_out_curve_that_cannot_get_below_the_best_are_given_up(two_gels, apart, monkeypatch) -> None:
+    one = replace(ExperimentBatch((shot(3, STIFF),)), between=scatters(BASE, apart.prior))
+    counts, ends = [], []
+    for promised in (float("inf"), 0.0):  # nothing is given up; all that is not below the best at once
+        linearised = []
+
+        def counted(*arguments, made=linearised, **options):
+            made.append(1)
+            return linearise_at(*arguments, **options)
+
+        monkeypatch.setattr(prediction, "linearise_at", counted)
+        monkeypatch.setattr(prediction, "_PROMISED", promised)
+        ends.append(held_out(apart, one, SIMULATOR))
+        counts.append(len(linearised))
+    assert counts[1] < counts[0]
+    assert ends[1].square == pytest.approx(ends[0].square, rel=0.01)
 
 
 def test_that_gels_that_differ_are_judged_on_curves_held_out_in_turn(selected) -> None:

@@ -8,7 +8,7 @@ import torch
 
 from imr_torch.gap import Parts, StepwiseSelection, additions, describe, diagnose, examine, library, to_json
 from imr_torch.gap.adequacy import adequacy_test
-from imr_torch.gap.attribute import Inquiry
+from imr_torch.gap.attribute import Inquiry, fitted_values
 from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence
 from imr_torch.gap.stepwise import left_over, misfit_in_difference, select_stepwise
 from imr_torch.material import LIBRARY
@@ -141,6 +141,30 @@ def test_that_a_fit_which_does_not_converge_is_no_step_and_that_the_next_best_ad
     said = describe(report, replace(parts, selection=selection))
     assert f"{first} was no step, since its fit did not converge." in said
     assert to_json(report, replace(parts, selection=selection))["ladder_unsettled"] == [[first]]
+
+
+def test_that_an_effect_which_came_next_is_fitted_again_before_those_that_a_score_test_ranks_first(monkeypatch) -> None:
+    batch, asked = shoot({"gas_loss": 0.2}, DESIGNS), []
+    effects = tuple(LIBRARY[name] for name in ("wall", "gas_loss", "refraction", "rinf_bias", "sound_speed"))
+    wall = Hypothesis(BASE, effects[:1])
+    chosen = fit(batch, wall, wall=0.1)
+
+    def search(hypotheses, near, *, starts, **rest):
+        asked.append(([h.effects[-1].name for h in hypotheses], starts))
+        return {h.name: near for h in hypotheses}
+
+    monkeypatch.setattr(additions, "fit_hypotheses", search)
+    monkeypatch.setattr(additions, "_CANDIDATES", 2)
+    inquiry, left = Inquiry(BASE, effects, batch, SIMULATOR), adequacy_test(chosen, effects, batch, SIMULATOR, seed=0)
+    *ahead, last = (block.name for block in left.test.blocks if block.name in {effect.name for effect in effects[1:]})
+    other = Hypothesis(BASE, (LIBRARY[last],))
+    beaten = fit(batch, other, **{last: 0.05})
+    for others in ((), ((other, beaten),)):
+        additions.next_step(inquiry, additions.Here(wall, chosen, left, others), {}, set(), seed=0)
+    (first, _), (then, starts) = asked
+    assert first == ahead[:2]
+    assert then == [last, ahead[0]]
+    assert starts[last][0] == pytest.approx(fitted_values(beaten, LIBRARY[last]))  # where the fit in its place has it
 
 
 def test_that_effects_which_are_not_clearly_worse_are_named_and_no_others() -> None:
