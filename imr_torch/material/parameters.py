@@ -282,7 +282,4 @@ def dimensionless(
         "length": 1.0 / max_radius,
         "none": 1.0,
     }
-    every = torch.stack(torch.broadcast_tensors(*(torch.as_tensor(x, dtype=time.dtype) for x in factor.values())), -1)
-    kinds = list(factor)
-    columns = [kinds.index(entry.dimension) for entry in PARAMETERS]
-    return dict(zip(PARAMETERS.names, (parameters * every[..., columns]).unbind(-1), strict=True))
+    return {entry.name: parameters[..., i] * factor[entry.dimension] for i, entry in enumerate(PARAMETERS)}

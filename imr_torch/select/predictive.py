@@ -216,7 +216,9 @@ def _restricted(assimilation: Assimilation, models: Sequence[int], experiments: 
     belief = Belief(tuple(prior.models[i] for i in models), prior.log_probabilities[list(models)])
     kept = ExperimentBatch(tuple(batch.experiments[e] for e in experiments), batch.noise)
     fits = (assimilation.fits[i] for i in models)
-    return Assimilation(belief, kept, tuple(replace(fit, nuisances=fit.nuisances[list(experiments)]) for fit in fits))
+    rows = list(experiments)
+    begin = (replace(f, nuisances=f.nuisances[rows], nuisance_response=f.nuisance_response[rows]) for f in fits)
+    return Assimilation(belief, kept, tuple(begin))
 
 
 def _leave_out(fit: ModelFit, batch: ExperimentBatch, fold: Sequence[int]) -> tuple[PredictiveScore, bool]:
