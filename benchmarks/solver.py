@@ -124,6 +124,24 @@ def plain_dopri5(count: int) -> Callable[[], Any]:
     return lambda: odeint(rate, start, TIMES, method="dopri5", rtol=1e-5, atol=1e-7)
 
 
+def on_device(device: str) -> dict[str, float]:
+    """Milliseconds of wall time a bubble by the tensor engine there, and the largest differences from the compiled engine."""
+    result: dict[str, float] = {}
+    simulators: tuple[Simulator, ...] = (TransportSimulator(), PolytropicSimulator())
+    for simulator in simulators:
+        name = type(simulator).__name__
+        there, here = simulate(simulator, 1000, device)().cpu(), simulate(simulator, 1000, "cpu")()
+        error = (there - here).abs().amax(1)
+        result |= {f"{name}_median_difference": float(error.median()), f"{name}_max_difference": float(error.max())}
+        for count in (48, 1000, 10_000, 100_000):
+            torch.cuda.reset_peak_memory_stats()
+            repeats = 3 if count < 10_000 else 1
+            result[f"{name}_{count}_ms"] = 1e3 * seconds_of(simulate(simulator, count, device), repeats, device) / count
+            result[f"{name}_{count}_mib"] = torch.cuda.max_memory_allocated() / 2**20
+            print(name, count, result[f"{name}_{count}_ms"], "ms a bubble", flush=True)
+    return result
+
+
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -134,10 +152,7 @@ def main() -> None:
     torch.set_num_threads(1)
     result: dict[str, float] = {}
     if args.device != "cpu":
-        tensors = TransportSimulator(engine="torchdiffeq")
-        for count in (1000, 100_000):
-            result[f"tensor_{count}_ms"] = 1e3 * seconds_of(simulate(tensors, count, args.device), 1, args.device) / count
-        report(result, args.json)
+        report(on_device(args.device), args.json)
         return
     result["compile_s"] = compile_seconds()
     for name, stepping in STEPPINGS.items():

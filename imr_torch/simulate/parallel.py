@@ -29,7 +29,16 @@ from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, Inp
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.engines import on_one_thread
 from imr_torch.simulate.sensitivity import differentiable
-from imr_torch.simulate.simulator import NO_BLOCKS, Simulator, Solution, Status, in_transform, solve_batch, solve_bundles
+from imr_torch.simulate.simulator import (
+    NO_BLOCKS,
+    Simulator,
+    Solution,
+    Status,
+    in_transform,
+    solve_batch,
+    solve_bundles,
+    tracked,
+)
 from imr_torch.types import Progress
 
 Arrays = tuple[np.ndarray, ...]
@@ -166,7 +175,7 @@ class ParallelSimulator:
             UnsupportedError: if the pool broke and there is no function to make another.
         """
         inputs = (parameters, designs, times)
-        if in_transform(*inputs) or (torch.is_grad_enabled() and any(x.requires_grad for x in inputs)):
+        if in_transform(*inputs) or tracked(*inputs):
             return differentiable(self, parameters, designs, times)
         return solve_batch(self._solve, NO_BLOCKS, (parameters, designs, times))
 

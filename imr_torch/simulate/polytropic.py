@@ -19,11 +19,12 @@ from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.engines import Engine, check_engine, compiles
 from imr_torch.simulate.gas import compression_of
 from imr_torch.simulate.sensitivity import differentiable
-from imr_torch.simulate.simulator import Solution, Status, in_transform, solve_batch, solve_bundles
+from imr_torch.simulate.simulator import Solution, Status, in_transform, solve_batch, solve_bundles, together, tracked
 from imr_torch.simulate.wall import Head, gas_loss, motion, vapour_factor
 
 _BLOCK = 32  # steps between two checks of which members are done
-_BATCH = 2000  # members solved together: larger batches leave the processor's cache
+_BATCH = 2000  # members solved together on a processor: larger batches leave its cache
+_BYTES = 75_000  # of a member while it is integrated
 _RUNAWAY = 3.0
 
 
@@ -74,7 +75,9 @@ class PolytropicSimulator:
         """
         if in_transform(parameters, designs, times):
             return differentiable(self, parameters, designs, times)
-        return solve_batch(self._solve, _BATCH, (parameters, designs, times))
+        inputs = (parameters, designs, times)
+        size = _BATCH if tracked(*inputs) else together(parameters, _BATCH, _BYTES)  # what autograd keeps takes more
+        return solve_batch(self._solve, size, inputs)
 
     def bundle(
         self,
@@ -83,14 +86,13 @@ class PolytropicSimulator:
         times: Real[Tensor, "*#batch frames"],
     ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
-        return solve_bundles(self._solve, _BATCH, (parameters, designs, times))
+        return solve_bundles(self._solve, together(parameters, _BATCH, _BYTES), (parameters, designs, times))
 
     def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1) -> tuple[Tensor, ...]:
         """One block of members, bundle after bundle; those whose leader failed are tried again at half the step."""
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
         stepping = self.stepping
-        tracked = torch.is_grad_enabled() and any(x.requires_grad for x in (parameters, designs, times))
-        if not tracked and compiles(self.engine, bubbles):
+        if not tracked(parameters, designs, times) and compiles(self.engine, bubbles):
             from imr_torch.simulate.compiled.run import solve_polytropic
 
             return solve_polytropic(bubbles, self.terms, times, width, stepping, self.threads)

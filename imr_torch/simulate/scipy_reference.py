@@ -25,7 +25,7 @@ from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.polytropic import head_of, rate_of, start_of
 from imr_torch.simulate.rhs import Equations
-from imr_torch.simulate.simulator import NO_BLOCKS, Solution, Status, solve_batch
+from imr_torch.simulate.simulator import NO_BLOCKS, Solution, Status, solve_batch, tracked
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ class ScipySimulator:
             InputDataError: if a design is impossible, or times are not increasing, finite and from 0 on.
             UnsupportedError: if an argument requires a gradient.
         """
-        if torch.is_grad_enabled() and any(x.requires_grad for x in (parameters, designs, times)):
+        if tracked(parameters, designs, times):
             raise UnsupportedError("SciPy carries no gradients; detach the arguments, or use TransportSimulator.")
         if bool((times < 0.0).any()):
             raise InputDataError(f"times start at {float(times.min()):g}; SciPy integrates from t* = 0 on.")

@@ -269,6 +269,27 @@ def check_designs(designs: Real[Tensor, "*batch 2"]) -> None:
         )
 
 
+def tracked(*tensors: Tensor) -> bool:
+    """Whether autograd follows what is computed from one of them."""
+    return torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
+
+
+def together(values: Tensor, most: int, size: int) -> int:
+    """Members integrated together: ``most`` on a processor, whose cache they are to fit; on a GPU as many as memory holds.
+
+    A GPU takes as long for one bubble as for thousands. Half of the memory that is free is used.
+
+    Args:
+        values: a tensor on the device.
+        most: members on a processor.
+        size: bytes that a member takes while it is integrated.
+    """
+    if not values.is_cuda:
+        return most
+    free, _ = torch.cuda.mem_get_info(values.device)
+    return max(most, free // (2 * size))
+
+
 def in_transform(*tensors: Tensor) -> bool:
     """Whether a transform of ``torch.func`` is at work on one of them: its values cannot be looked at.
 
@@ -319,8 +340,7 @@ def solve_batch(
         warnings.warn("float32 is too short for inference; use float64 parameters.", PrecisionWarning, stacklevel=3)
     designs, times = designs.to(parameters), times.to(parameters)
     blocks = zip(parameters.split(size), designs.split(size), times.split(size), strict=True)
-    tracked = torch.is_grad_enabled() and any(x.requires_grad for x in (parameters, designs, times))
-    with torch.inference_mode(not tracked):
+    with torch.inference_mode(not tracked(parameters, designs, times)):
         parts = [solve(*block) for block in blocks]
     fields = [torch.cat(columns) for columns in zip(*parts, strict=True)]  # ordinary tensors again
     radius, velocity, pressure = (x.reshape(*shape, -1) for x in fields[:3])

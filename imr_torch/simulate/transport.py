@@ -24,9 +24,10 @@ from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import CONTROL, METHOD, TransportField
 from imr_torch.simulate.rhs import Equations
 from imr_torch.simulate.sensitivity import differentiable
-from imr_torch.simulate.simulator import Solution, Status, in_transform, solve_batch, solve_bundles
+from imr_torch.simulate.simulator import Solution, Status, in_transform, solve_batch, solve_bundles, together, tracked
 
-_BATCH = 1000  # members integrated together; those that are done early are not replaced
+_BATCH = 1000  # members integrated together on a processor; those that are done early are not replaced
+_BYTES = 150_000  # of a member while it is integrated
 _BLOCK = 32  # steps between two checks of which members are done
 _RUNNING = -1
 
@@ -115,10 +116,10 @@ class TransportSimulator:
             InputDataError: if a design is impossible, or times are not increasing and finite.
         """
         inputs = (parameters, designs, times)
-        if in_transform(*inputs) or (torch.is_grad_enabled() and any(x.requires_grad for x in inputs)):
+        if in_transform(*inputs) or tracked(*inputs):
             return differentiable(self, parameters, designs, times)
         with torch.no_grad():
-            return solve_batch(self._solve, _BATCH, (parameters, designs, times))
+            return solve_batch(self._solve, together(parameters, _BATCH, _BYTES), (parameters, designs, times))
 
     def bundle(
         self,
@@ -128,7 +129,7 @@ class TransportSimulator:
     ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
         with torch.no_grad():
-            return solve_bundles(self._solve, _BATCH, (parameters, designs, times))
+            return solve_bundles(self._solve, together(parameters, _BATCH, _BYTES), (parameters, designs, times))
 
     def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1) -> tuple[Tensor, ...]:
         """One block of members, bundle after bundle: radius, velocity, pressure, status, steps."""
