@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.evidence import CheckedEvidence, check_evidence, rescaled_evidence
-from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence
+from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence, promised
 from imr_torch.gap.lookalike import LIKE, Likeness
 from imr_torch.gap.verdict import NONE, ODDS, VERDICT_ODDS, probabilities
 from imr_torch.goodness.score import GapTest
@@ -30,7 +30,10 @@ SCALES = (0.5, 2.0)
 _LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
 _WIDE = 45.0  # degrees from which on two effects are not called alike, however small
 _NEGLIGIBLE = 20.0  # nats behind the best at which another prior scale does not matter
-_FIT = SearchOptions(starts=2, iterations=30, drop_behind=6.0, basin_rounds=0, polish=False)  # the winner's is finished later
+_BEHIND = 6.0  # nats behind the best from which on a fit is given up
+_FIT = SearchOptions(
+    starts=2, iterations=30, drop_behind=_BEHIND, basin_rounds=0, polish=False
+)  # the winner's is finished later
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,22 @@ class Attribution:
             if total >= level:
                 break
         return tuple(names)
+
+    @property
+    def explained(self) -> dict[str, float]:
+        """Hypothesis -> nats that its last effect explains: its log evidence over that without it, the largest first.
+
+        Of a fit in :attr:`given_up` it is what was explained where the fit ended.
+        """
+        without = "+".join(self.winner.split("+")[:-1]) or NONE
+        gained = {name: own - self.log_evidence[without] for name, own in self.log_evidence.items() if name != without}
+        return dict(sorted(gained.items(), key=lambda item: -item[1]))
+
+    @property
+    def given_up(self) -> tuple[str, ...]:
+        """Hypotheses whose fits were not continued, since by their costs and gradients they cannot come near the best one."""
+        limit = min(fit.cost for fit in self.fits.values()) + _BEHIND
+        return tuple(n for n, f in self.fits.items() if not f.certificate.converged and f.cost - promised(f) > limit)
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,26 @@
 """A diagnosis as JSON: what the report says, and the curves, tests and probabilities from which its figures are drawn again."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
 
+from imr_torch.assimilate import ModelFit
 from imr_torch.assimilate.dense import dense_curve
 from imr_torch.files import drawn_numbers
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
+from imr_torch.gap.hypotheses import scatters
 from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.lookalike import Likeness
 from imr_torch.gap.parts import Parts
+from imr_torch.gap.plots import BESIDE
 from imr_torch.gap.report import (
     all_parameters,
     cause_values,
-    fit_of_cause,
+    fit_beside,
     headline,
     next_step,
     odds_text,
@@ -27,6 +31,7 @@ from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
 from imr_torch.gap.strengths import unusual_strengths, values_of_curves
 from imr_torch.gap.verdict import VERDICT_ODDS
 from imr_torch.material import ModelBelief
+from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 
 
@@ -63,6 +68,8 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         "members": None if report.choice is None else report.choice.members,
         "expected_loss": None if report.choice is None else report.choice.loss,
         "posterior": None if found is None else found.posterior,
+        "explained_nats": None if found is None else found.explained,
+        "given_up": None if found is None else list(found.given_up),
         "posterior_at_odds": None if found is None else {odds_text(odds): own for odds, own in found.at_odds.items()},
         "verdict_odds": odds_text(VERDICT_ODDS),
         "unknown": None if found is None or found.likeness is None else _unknown(found, found.likeness),
@@ -82,7 +89,7 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         "parameter_shift": parameter_shift(report),
         "parameters": parameters(report),
         "tests": [vars(b) | {"power": None if math.isnan(b.power) else b.power} for b in report.gap.blocks],
-        "curves": curves_of(report, simulator),
+        "curves": curves_of(report, parts, simulator),
         "noise": vars(report.batch.noise),
         "headline": headline(report),
         "next_step": next_step(report, parts),
@@ -115,13 +122,14 @@ def certificates(report: GapReport) -> dict[str, dict[str, Any]]:
     return {name: vars(fit.certificate) for name, fit in fits.items()}
 
 
-def curves_of(report: GapReport, simulator: Simulator | None = None) -> list[dict[str, Any]]:
-    """Mean measured curves, the base model and the model with the cause (None where none is named), by experiment.
+def curves_of(report: GapReport, parts: Parts, simulator: Simulator | None = None) -> list[dict[str, Any]]:
+    """Mean measured curves and the base model by experiment, and the model with the cause or, without one, with additions.
 
-    With a simulator, ``drawn`` holds the curves of the models at 600 points.
+    ``with_cause`` and ``with_additions`` are None where they are not shown; see :func:`imr_torch.gap.report.fit_beside`. With a
+    simulator, ``drawn`` holds the curves of the models at 600 points.
     """
-    batch, after = report.batch, fit_of_cause(report)
-    dense = {} if simulator is None else dense_curves(report, simulator)
+    batch, beside = report.batch, fit_beside(report, parts)
+    dense = {} if simulator is None else dense_curves(report, parts, simulator)
     noise = batch.sd(report.null.prediction) / batch.counts.sqrt()
     rows = []
     for e, experiment in enumerate(batch.experiments):
@@ -135,7 +143,8 @@ def curves_of(report: GapReport, simulator: Simulator | None = None) -> list[dic
                 "R_star": batch.mean[e][seen].tolist(),
                 "sd": noise[e][seen].tolist(),
                 "base": report.null.prediction[e][seen].tolist(),
-                "with_cause": None if after is None else after.prediction[e][seen].tolist(),
+                **dict.fromkeys(BESIDE),
+                **({beside.name: beside.fit.prediction[e][seen].tolist()} if beside else {}),
                 "drawn": {name: _drawn(times[e], radius[e]) for name, (times, radius) in dense.items()},
             }
         )
@@ -178,16 +187,25 @@ def _step(step: SelectionStep, base: ModelBelief) -> dict[str, Any]:
 
 
 def dense_curves(
-    report: GapReport, simulator: Simulator
+    report: GapReport, parts: Parts, simulator: Simulator
 ) -> dict[str, tuple[Float[Tensor, "experiments dense"], Float[Tensor, "experiments dense"]]]:
-    """Curves of the base model and of the model with the cause, if one is named: by name, t* and R*, ``E x D`` tensors.
+    """Curves of the base model and of what is shown beside it: by name, t* and R*, ``E x D`` tensors.
 
     Args:
         report: the diagnosis.
+        parts: what was run beside the verdict.
         simulator: makes the bubbles.
     """
-    fits = {"base": report.null, "with_cause": fit_of_cause(report)}
-    return {name: dense_curve(fit, report.batch, simulator) for name, fit in fits.items() if fit is not None}
+    fits, beside = {"base": report.null}, fit_beside(report, parts)
+    if beside is not None:
+        fits[beside.name] = beside.fit
+    return {name: dense_curve(fit, _seen(report, fit), simulator) for name, fit in fits.items()}
+
+
+def _seen(report: GapReport, fit: ModelFit) -> ExperimentBatch:
+    """The data as a fit has them: with differences between curves where it holds such nuisances."""
+    base, known = report.null.prior, report.null.nuisances.shape[1]
+    return replace(report.batch, between=scatters(base, fit.prior)) if fit.nuisances.shape[1] > known else report.batch
 
 
 def _drawn(times: Tensor, radius: Tensor) -> dict[str, list[float | None]]:

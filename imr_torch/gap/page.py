@@ -12,10 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from imr_torch.gap import plots
+from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.document import dense_curves
+from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.parts import Parts
-from imr_torch.gap.report import cause_values, fit_of_cause, headline, next_step, parameters, sections
+from imr_torch.gap.report import cause_values, fit_beside, fit_of_cause, headline, next_step, parameters, sections
+from imr_torch.gap.selection_text import STEPS_HEAD, selection_notes, steps_table
+from imr_torch.gap.stepwise import StepwiseSelection
 from imr_torch.gap.windows import MovingWindows
 from imr_torch.html import Block, Picture, Table, write
 from imr_torch.html import page as html_page
@@ -23,6 +27,7 @@ from imr_torch.material import PARAMETERS
 from imr_torch.simulate import Simulator
 
 _CURVES = 6
+_TOGETHER = "How much do known effects close together?"
 
 
 @dataclass(frozen=True)
@@ -87,7 +92,10 @@ def page(
     blocks = [Block("The gel", (Table(_gel(report)),)), Block("The curves", curves)]
     for section in others:
         pictures = tuple(p.picture for p in placed if p.section == section.heading)
-        blocks.append(Block(section.heading, (*section.sentences, *pictures), folded=section.folded))
+        said = section.sentences
+        if section.heading == _TOGETHER and parts is not None and parts.selection is not None:
+            said = _steps(parts.selection)
+        blocks.append(Block(section.heading, (*said, *pictures), folded=section.folded))
     if facts:
         blocks.append(Block("Files, medium and software", (Table(tuple(facts)),), folded=True))
     step = next_step(report, parts)
@@ -95,6 +103,12 @@ def page(
     for item in placed:
         plt.close(item.picture.figure)
     return text
+
+
+def _steps(selection: StepwiseSelection) -> tuple[str | Table, ...]:
+    """The selection in a sentence, a table of its steps in which the best stands out, and what is to be known beside it."""
+    best = frozenset(i for i, step in enumerate(selection.judged) if step is selection.best)
+    return (str(selection), Table(steps_table(selection), head=STEPS_HEAD, marked=best), *selection_notes(selection))
 
 
 def _gel(report: GapReport) -> tuple[tuple[str, ...], ...]:
@@ -121,7 +135,7 @@ def _pictures(report: GapReport, parts: Parts, simulator: Simulator | None) -> l
     fit, batch, found = report.null, report.batch, report.attribution
     gap, where, causes = "Is there a gap?", "Where does it lie?", "Which effect causes it?"
     made = [
-        *_before_and_after(report, simulator),
+        *_before_and_after(report, parts, simulator),
         _picture(
             gap,
             "Tests of the base model's residual: longer bars are smaller p; beyond the dashed line one test shows a gap.",
@@ -151,9 +165,7 @@ def _pictures(report: GapReport, parts: Parts, simulator: Simulator | None) -> l
         caption = f"The far-field pressure that would explain the residual. {latent.caveat}"
         made.append(_picture(where, caption, alt, lambda: plots.plot_latent_pressure(latent)))
     if found is not None:
-        top = max(found.posterior, key=found.posterior.__getitem__)
-        alt = f"Bar chart of probabilities; {top} has {found.posterior[top]:.3f}."
-        made.append(_picture(causes, "Probability of each cause.", alt, lambda: plots.plot_causes(found.posterior)))
+        made.append(_likely(causes, found))
     if (judged := parts.shrinkage) is not None:
         caption = "Part of the gap on held-out designs that the cause and its best rival remove."
         alt = "Intervals of the part of the gap that is removed; the sentences above give the numbers."
@@ -162,7 +174,7 @@ def _pictures(report: GapReport, parts: Parts, simulator: Simulator | None) -> l
         caption = "From the base model towards the noise: what is left of the misfit as effects are added one after the other."
         alt = f"Bar chart of the misfit by step. {selection}"
         steps = [plots.DrawnStep(step.effects, step.misfit, step.noise, step.closed) for step in selection.steps]
-        made.append(_picture("How much do known effects close together?", caption, alt, lambda: plots.plot_selection(steps)))
+        made.append(_picture(_TOGETHER, caption, alt, lambda: plots.plot_selection(steps)))
     if (after := fit_of_cause(report)) is not None:
         made.append(
             _picture(
@@ -173,6 +185,19 @@ def _pictures(report: GapReport, parts: Parts, simulator: Simulator | None) -> l
             )
         )
     return made
+
+
+def _likely(section: str, found: Attribution) -> Placed:
+    """Probability of each cause; where none is known to be likely, what each effect explains by itself."""
+    if not plots.only_other(found.posterior):
+        top = max(found.posterior, key=found.posterior.__getitem__)
+        alt = f"Bar chart of probabilities; {top} has {found.posterior[top]:.3f}."
+        return _picture(section, "Probability of each cause.", alt, lambda: plots.plot_causes(found.posterior))
+    explained, given_up = found.explained, found.given_up
+    top = next(iter(explained))
+    alt = f"Bar chart of log evidence gained; {top} has {explained[top]:.0f} nats."
+    caption = "What a single further effect explains; none is enough. Light: its fit was given up, and it may explain more."
+    return _picture(section, caption, alt, lambda: plots.plot_explained(explained, given_up))
 
 
 def _picture(section: str, caption: str, alt: str, draw: Callable[[], Axes]) -> Placed:
@@ -196,17 +221,20 @@ def _windows(found: MovingWindows) -> Figure:
     return figure
 
 
-def _before_and_after(report: GapReport, simulator: Simulator | None) -> list[Placed]:
+def _before_and_after(report: GapReport, parts: Parts, simulator: Simulator | None) -> list[Placed]:
     """Curves with their residuals below, one figure an experiment, up to six."""
-    after = fit_of_cause(report)
-    dense = None if simulator is None else dense_curves(report, simulator)
-    prediction, made = after.prediction if after else None, []
+    beside = fit_beside(report, parts)
+    dense = None if simulator is None else dense_curves(report, parts, simulator)
+    name, prediction = (beside.name, beside.fit.prediction) if beside else ("with_cause", None)
+    added = f" and the model with {' + '.join(map(in_words, beside.effects))}" if beside else ""
+    made = []
     for number, experiment in enumerate(report.batch.experiments[:_CURVES]):
         figure, axes = plt.subplots(2, 1, figsize=(5.2, 4.4), height_ratios=[2, 1], sharex=True, layout="constrained")
-        plots.plot_curves(report.batch, number, report.null.prediction, prediction, ax=axes[0], dense=dense)
+        plots.plot_curves(report.batch, number, report.null.prediction, prediction, beside=name, ax=axes[0], dense=dense)
         plots.plot_residuals(report.batch, number, report.null.prediction, prediction, ax=axes[1])
-        caption = f"{experiment.label}: measured, the base model" + (" and the model with the cause" if after else "")
-        caption += "; below, residuals over the noise of the mean (grey: up to 2)."
+        caption = (
+            f"{experiment.label}: measured, the base model{added}; below, residuals over the noise of the mean (grey: up to 2)."
+        )
         alt = f"Curves of {experiment.label}. {headline(report)}"
         made.append(Placed("Verdict", Picture(caption, alt, figure)))
     return made

@@ -6,7 +6,7 @@ told apart by colour-blind readers, and what matters is also written.
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import matplotlib.pyplot as plt
@@ -28,10 +28,13 @@ from imr_torch.labels import R_STAR, T_STAR, plain
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import ExperimentBatch
 
+BESIDE = {"with_cause": "with the cause", "with_additions": "with additions"}
+"""What is drawn beside the base model, by its name in the JSON: the named cause, else the best step of a stepwise selection."""
 DATA, BASE, AFTER, ALARM = "#222222", "#E69F00", "#0072B2", "#D55E00"
 _SMALLEST = 300.0  # -log10 p beyond which p-values are zero in float64
 _LINEAR = 10.0  # -log10 p up to which axes are linear; logarithmic beyond
 _BARS = 12
+_ALL = 0.99
 _BAND = 1.645  # standard deviations of a 90 % band
 
 
@@ -165,31 +168,52 @@ def plot_causes(posterior: dict[str, float], *, ax: Axes | None = None) -> Axes:
     return ax
 
 
+def only_other(posterior: Mapping[str, float]) -> bool:
+    """Whether an unknown effect has all the probability, so that probabilities tell nothing of the known ones."""
+    return posterior.get("other", 0.0) > _ALL
+
+
+def plot_explained(explained: Mapping[str, float], given_up: Collection[str] = (), *, ax: Axes | None = None) -> Axes:
+    """Nats that each effect explains alone, the most first; light where its fit was given up, so that they may be more."""
+    shown = sorted(explained.items(), key=lambda item: -item[1])[:_BARS]
+    ax = _axes(ax, (5.6, 1.0 + 0.27 * len(shown)))
+    top = max(1.0, *(nats for _, nats in shown))
+    for place, (name, nats) in zip(range(len(shown) - 1, -1, -1), shown, strict=True):
+        loose = name in given_up
+        ax.barh(place, max(nats, 0.0), color=AFTER, alpha=0.35 if loose else 1.0, height=0.7)
+        ax.text(max(nats, 0.0) + 0.02 * top, place, f"{nats:.0f}{' or more' if loose else ''}", va="center", fontsize=8)
+    ax.set_yticks(range(len(shown) - 1, -1, -1), [plain(name, 40) for name, _ in shown], fontsize=8)
+    ax.set(xlabel="log evidence gained (nats)", xlim=(0.0, 1.3 * top))
+    return ax
+
+
 def plot_curves(
     batch: ExperimentBatch,
     number: int,
     base: Float[Tensor, "experiments frames"],
     after: Float[Tensor, "experiments frames"] | None = None,
     *,
+    beside: str = "with_cause",
     ax: Axes | None = None,
     dense: Mapping[str, tuple[Float[Tensor, "experiments dense"], Float[Tensor, "experiments dense"]]] | None = None,
 ) -> Axes:
-    """Mean measured curve of one experiment, the base model, and the model with the cause.
+    """Mean measured curve of one experiment, the base model, and the model with the cause or with additions.
 
     Args:
         batch: the data.
         number: which experiment.
         base: ``E x T`` tensor, prediction of the base model.
-        after: ``E x T`` tensor, prediction with the cause, if there is one.
+        after: ``E x T`` tensor, prediction with the cause or with additions, if there are some.
+        beside: which of these ``after`` is, a key of :data:`BESIDE`.
         ax: where to draw.
-        dense: ``"base"`` and ``"with_cause"`` at more times than the frames, t* and R* as ``E x D`` tensors.
+        dense: ``"base"`` and ``beside`` at more times than the frames, t* and R* as ``E x D`` tensors.
     """
     ax = _axes(ax)
     seen, times = batch.mask[number], batch.times[number]
     ax.plot(times[seen], batch.mean[number][seen], ".", ms=3, color=DATA, label="measured")
     for name, values, style, label in (
         ("base", base, {"color": BASE, "lw": 1.5, "ls": "--"}, "base model"),
-        ("with_cause", after, {"color": AFTER, "lw": 1.2}, "with the cause"),
+        (beside, after, {"color": AFTER, "lw": 1.2}, BESIDE[beside]),
     ):
         if values is not None:
             at, curve = (x[number] for x in dense[name]) if dense else (times[seen], values[number][seen])
@@ -208,7 +232,7 @@ def plot_residuals(
     *,
     ax: Axes | None = None,
 ) -> Axes:
-    """Residuals of the mean curve of one experiment over the noise of that mean, with the base model and with the cause."""
+    """Residuals of the mean curve of one experiment over its noise, with the base model and with what is beside it."""
     ax = _axes(ax, (5.2, 2.2))
     seen, times = batch.mask[number], batch.times[number]
     noise = batch.sd(base)[number] / batch.counts[number].sqrt()

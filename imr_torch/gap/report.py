@@ -7,6 +7,7 @@ not tested or cannot be concluded is a section of its own, with the reasons.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from scipy.optimize import brentq
@@ -275,8 +276,11 @@ def _causes(report: GapReport) -> tuple[str, ...]:
             if report.verdict == "none"
             else "Not tested, because the base model's fit did not converge.",
         )
+    most = list(found.explained.items())[:_CAUSES]
+    gained = ", ".join(f"{name} {nats:.0f}{' or more' if name in found.given_up else ''}" for name, nats in most)
     lines = [
         *_probabilities(found),
+        f"Log evidence gained by a single further effect, nats: {gained}.",
         f"95 % credible set: {', '.join(found.credible_set())}.",
         f"Adequacy of {found.winner}: {p_value(found.adequacy.p_value)}"
         + (", so it is enough." if found.adequacy.p_value >= ADEQUATE else ", so something else may still be missing."),
@@ -381,6 +385,23 @@ def fit_of_cause(report: GapReport) -> ModelFit | None:
     return report.attribution.fits[report.attribution.winner]
 
 
+class Beside(NamedTuple):
+    """A fit that is shown beside the base model: ``"with_cause"`` or ``"with_additions"``, and what was added."""
+
+    name: str
+    effects: tuple[str, ...]
+    fit: ModelFit
+
+
+def fit_beside(report: GapReport, parts: Parts) -> Beside | None:
+    """The fit of the named cause, else of the best step of the stepwise selection; None where there is neither."""
+    if (after := fit_of_cause(report)) is not None:
+        assert report.attribution is not None
+        return Beside("with_cause", tuple(report.attribution.winner.split("+")), after)
+    best = None if parts.selection is None else parts.selection.best
+    return Beside("with_additions", best.effects, best.fit) if best is not None and best.effects else None
+
+
 def _shift(report: GapReport) -> tuple[str, ...]:
     shift = parameter_shift(report)
     if shift is None:
@@ -452,7 +473,13 @@ def _certificates(report: GapReport) -> tuple[str, ...]:
         leading |= {found.winner: found.fits[found.winner]}
     lines += [f"{name}: {fit.certificate}." for name, fit in leading.items()]
     if found is not None:
-        loose = [name for name, fit in found.fits.items() if not fit.certificate.converged and name != found.winner]
+        behind = found.given_up
+        loose = [n for n, fit in found.fits.items() if not fit.certificate.converged and n not in (found.winner, *behind)]
+        if behind:
+            lines.append(
+                "Fits that were given up, since by their costs and gradients they cannot come near that of "
+                f"{found.winner}: {', '.join(behind)}."
+            )
         if loose:
             lines.append(
                 f"Other causes whose fits did not converge, so that their probabilities are lower bounds: {', '.join(loose)}."

@@ -65,8 +65,8 @@ class GelScatter:
     def sentences(self) -> tuple[str, ...]:
         """The finding in words."""
         gained = self.explained[self.leading]
-        beside = "" if self.rival == "none" else f" ({self.rival}: {self.explained[self.rival]:.0f})"
-        lines = [f"gel_scatter, a gel that differs between the curves, explains {gained:.0f} nats{beside}, as {self.leading}."]
+        beside = "" if self.rival == "none" else f" beside {self.explained[self.rival]:.0f} by {self.rival} in one gel"
+        lines = [f"A gel that differs between the curves explains {gained:.0f} nats ({self.leading}){beside}."]
         if not self.converged:
             lines.append("The fit of a curve by itself did not converge, so nothing is concluded from it.")
         elif self.is_cause:

@@ -1,4 +1,7 @@
-"""A stepwise selection as sentences: what each step leaves and closes, how curves differ, and what to take with care."""
+"""A stepwise selection in words: what each step leaves and closes, how curves differ, and what to take with care.
+
+A text has a sentence a step, a page a row of a table.
+"""
 
 from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
@@ -6,15 +9,35 @@ from imr_torch.gap.strengths import unusual_strengths, values_of_curves
 from imr_torch.labels import p_value
 from imr_torch.material import PARAMETERS, ModelBelief
 
+STEPS_HEAD = ("additions", "misfit in R*", "noise in R*", "closed on unseen curves", "nats better on them", "adequacy")
+"""Columns of :func:`steps_table`."""
+
 
 def selection_sentences(selection: StepwiseSelection) -> tuple[str, ...]:
-    """The selection in a sentence, then each step, what curves have of their own in the best one, and what is left open."""
-    lines, base = [str(selection)], selection.steps[0].fit.prior
+    """The selection in a sentence, then each step, and :func:`selection_notes`."""
+    return (str(selection), *map(_judged, selection.judged), *selection_notes(selection))
+
+
+def steps_table(selection: StepwiseSelection) -> tuple[tuple[str, ...], ...]:
+    """A row a step, the base model first: see :data:`STEPS_HEAD`."""
+    rows = []
     for step in selection.judged:
-        lines.append(_judged(step))
-        if step.alternatives:
-            others = ", ".join(map(in_words, step.alternatives))
-            lines.append(f"Not clearly worse in place of {in_words(step.added)}: {others}.")
+        closed = "" if step.closed is None else "{1:.2f} ({0:.2f} to {2:.2f})".format(*step.closed)
+        better = "" if step.log_score is None else f"{step.log_score[0]:+.0f} +- {step.log_score[1]:.0f}"
+        named = " + ".join(map(in_words, step.effects)) or "none: the base model alone"
+        adequacy = f"{p_value(step.test.p_value)}{'' if step.converged else '; a fit has not converged'}"
+        rows.append((named, f"{step.misfit:.4f}", f"{step.noise:.4f}", closed, better, adequacy))
+    return tuple(rows)
+
+
+def selection_notes(selection: StepwiseSelection) -> tuple[str, ...]:
+    """Additions that would do as well, what curves have of their own in the best step, and what is left open."""
+    base = selection.steps[0].fit.prior
+    lines = [
+        f"Not clearly worse in place of {in_words(step.added)}: {', '.join(map(in_words, step.alternatives))}."
+        for step in selection.judged
+        if step.alternatives
+    ]
     lines += [*_of_curves(selection.best, base), *_unusual(selection.best, base)]
     unsettled = (" and ".join(map(in_words, name.split("+"))) for name in selection.unsettled)
     lines += [f"{name} was no step, since its fit did not converge." for name in unsettled]

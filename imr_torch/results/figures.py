@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from scipy.special import ndtri
 
 from imr_torch.errors import InputDataError
-from imr_torch.gap.plots import DrawnStep, plot_causes, plot_scores, plot_selection
+from imr_torch.gap.plots import BESIDE, DrawnStep, only_other, plot_causes, plot_explained, plot_scores, plot_selection
 from imr_torch.goodness.score import BlockResult, GapTest
 from imr_torch.labels import R_STAR, T_STAR, file_name, plain
 from imr_torch.material import Belief, material
@@ -135,7 +135,7 @@ def _of_diagnosis(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
     for curve in document["curves"]:
         yield NamedFigure(
             f"curve_{file_name(curve['id'])}",
-            f"{curve['id']}: measured, the base model and the model with the cause; below, residuals over their noise.",
+            f"{curve['id']}: measured, the base model, and that with the cause or additions; below, residuals over noise.",
             f"Line chart of radius over time of {curve['id']}.",
             lambda curve=curve: diagnosis_figure(curve),
         )
@@ -148,7 +148,14 @@ def _of_diagnosis(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
         f"Bar chart of {len(blocks)} tests.",
         lambda: figure_of(plot_scores(GapTest(document["p_gap"], blocks, document["bias_sigma"], 0.0))),
     )
-    if document["posterior"]:
+    if document["posterior"] and only_other(document["posterior"]) and document.get("explained_nats"):
+        yield NamedFigure(
+            "causes",
+            "What a single further effect explains; none is enough. Light: its fit was given up.",
+            "Bar chart of log evidence gained.",
+            lambda: figure_of(plot_explained(document["explained_nats"], document["given_up"])),
+        )
+    elif document["posterior"]:
         yield NamedFigure(
             "causes",
             "Probability of each cause.",
@@ -166,13 +173,14 @@ def _of_diagnosis(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
 
 
 def diagnosis_figure(curve: Mapping[str, Any]) -> Figure:
-    """One mean measured curve with the base model and the model with the cause, and residuals below."""
+    """One mean measured curve with the base model and the model with the cause or with additions, and residuals below."""
     figure, (ax, below) = plt.subplots(2, 1, figsize=(5.2, 4.4), height_ratios=[2, 1], sharex=True, layout="constrained")
     t, r, sd = (_floats(curve[name]) for name in ("t_star", "R_star", "sd"))
     ax.plot(t, r, ".", ms=4, color=DATA, label="measured")
     below.axhspan(-2.0, 2.0, color="#E2E2E2", lw=0)
-    for name, label, color, style in (("base", "base model", SECOND, "--"), ("with_cause", "with the cause", MODEL, "-")):
-        if curve[name] is not None:
+    for name, label in {"base": "base model", **BESIDE}.items():
+        color, style = (SECOND, "--") if name == "base" else (MODEL, "-")
+        if curve.get(name) is not None:
             drawn = curve.get("drawn", {}).get(name, {"t_star": curve["t_star"], "R_star": curve[name]})
             ax.plot(_floats(drawn["t_star"]), _floats(drawn["R_star"]), color=color, ls=style, lw=1.3, label=label)
             below.plot(t, (r - _floats(curve[name])) / sd, color=color, ls=style, lw=1.2)

@@ -1,16 +1,18 @@
 """Curves that differ: their gels as nuisances against separate bubbles and closed forms, and as a step of the selection."""
 
 import math
+import re
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 import torch
 
 from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
 from imr_torch.errors import InputDataError
-from imr_torch.gap import Parts, additions, describe, diagnose, library, own_gels, prediction
+from imr_torch.gap import Parts, additions, describe, diagnose, library, own_gels, prediction, to_json, write_page
 from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.document import selection_document
 from imr_torch.gap.hypotheses import (
@@ -208,6 +210,27 @@ def test_that_a_report_of_curves_that_differ_sends_to_the_population(selected) -
     assert "characterize --population" in next_step(said, Parts(selection=selection))
     assert "characterize --population" not in next_step(said, Parts(selection=replace(selection, steps=selection.steps[:1])))
     assert "differences between curves: misfit" in describe(report, Parts(selection=selection))
+
+
+def test_that_curves_and_steps_are_shown_where_no_cause_is_named(selected, tmp_path) -> None:
+    report, selection = selected
+    other, parts = replace(report, verdict="other", cause=()), Parts(selection=selection)
+    misfits = []
+    for curve in to_json(other, parts, simulator=SIMULATOR)["curves"]:
+        measured, sd, base, beside = (np.array(curve[name]) for name in ("R_star", "sd", "base", "with_additions"))
+        misfits.append([np.square((measured - curve) / sd).mean() for curve in (base, beside)])
+        assert curve["with_cause"] is None
+        assert set(curve["drawn"]) == {"base", "with_additions"}
+        t, drawn = (np.array(curve["drawn"]["with_additions"][name]) for name in ("t_star", "R_star"))
+        error = np.abs(np.interp(curve["t_star"], t, drawn) - curve["with_additions"])
+        assert np.quantile(error, 0.9) < 1e-3  # polygons are less exact at collapses
+    before, after = np.mean(misfits, 0)
+    assert after < 1.5
+    assert before > 2.0
+    text = write_page(other, tmp_path / "page.html", parts, simulator=SIMULATOR).read_text()
+    assert "and the model with differences between curves;" in text
+    assert re.search(r'<tr class=marked><td>differences between curves</td><td>0\.\d{4}</td>', text)
+    assert "differences between curves: misfit" not in text
 
 
 def test_that_descents_of_a_held_out_curve_that_cannot_get_below_the_best_are_given_up(two_gels, apart, monkeypatch) -> None:

@@ -60,6 +60,8 @@ PARTS = (
 )
 CAUSES = (
     "posterior",
+    "explained_nats",
+    "given_up",
     "posterior_at_odds",
     "unknown",
     "look_alikes",
@@ -221,6 +223,39 @@ def test_that_no_family_is_named_for_other(found):
     assert "do not quote them" in text
 
 
+def test_that_fits_that_were_given_up_are_told_from_those_that_did_not_converge(found):
+    report, _ = found
+    causes = report.attribution
+    best = causes.fits["sound_speed"].cost
+    fits = dict(causes.fits)
+    for name, behind in (("refraction", 50.0), ("rinf_bias", 5.0)):
+        loose = replace(fits[name].certificate, converged=False, gradient=0.1)
+        fits[name] = replace(fits[name], cost=best + behind, certificate=loose)
+    changed = replace(causes, fits=fits)
+    assert changed.given_up == ("refraction",)
+    text = describe(replace(report, attribution=changed))
+    assert "given up, since by their costs and gradients they cannot come near that of sound_speed: refraction." in text
+    assert "did not converge, so that their probabilities are lower bounds: rinf_bias." in text
+    assert re.search(r"Log evidence gained by a single further effect, nats: sound_speed \d+, .*refraction -?\d+ or more", text)
+
+
+def test_that_what_effects_explain_is_drawn_where_their_probabilities_are_zero(found):
+    report, _ = found
+    causes = report.attribution
+    gained = causes.explained
+    assert gained["sound_speed"] == causes.log_evidence["sound_speed"] - causes.log_evidence["none"]
+    assert next(iter(gained)) == "sound_speed"
+    assert set(gained) == set(causes.fits) - {"none"}
+    document = json.loads(json.dumps(to_json(*found)))
+    labels = []
+    for other in (0.5, 1.0):
+        document["posterior"] = {"other": other, "sound_speed": 1.0 - other}
+        (drawn,) = (figure for figure in draw_figures(document) if figure.name == "causes")
+        labels.append(for_publication(drawn.draw, "one").axes[0].get_xlabel())
+    assert labels == ["probability", "log evidence gained (nats)"]
+    plt.close("all")
+
+
 def test_that_nothing_is_said_on_a_fit_that_did_not_converge(found):
     report, _ = found
     loose = replace(report.null, certificate=replace(report.null.certificate, converged=False))
@@ -270,6 +305,7 @@ def test_that_every_plot_draws_into_the_axes_it_is_given(found):
         lambda ax: plots.plot_latent_pressure(parts.latent, ax=ax),
         lambda ax: plots.plot_window_parameter(parts.windows, "G", ax=ax),
         lambda ax: plots.plot_causes(report.attribution.posterior, ax=ax),
+        lambda ax: plots.plot_explained(report.attribution.explained, ["refraction"], ax=ax),
         lambda ax: plots.plot_curves(batch, 0, fit.prediction, after.prediction, ax=ax),
         lambda ax: plots.plot_residuals(batch, 0, fit.prediction, after.prediction, ax=ax),
         lambda ax: plots.plot_shrinkage(parts.shrinkage, ax=ax),
