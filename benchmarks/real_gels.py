@@ -6,17 +6,23 @@
 FOLDER holds a CSV file a gel and a JSON file beside it. `run` appends a line a set and task, and passes over what has a line.
 Of each set at most `--max-curves` are taken (default 4), evenly spread over those that can be fitted and whose tail does not
 grow again. Curves that figures show go into a file of their own beside the record. The medium is stated (`SETS`); models with
-heat and vapour transport. Tasks: `characterize` (Newtonian, NHKV and generalised QKV), `diagnose` (additions selected stepwise
-on every second curve, at most four, judged on the other curves, which no fit saw) and `other half` (the other curves, for their
-first addition only). Two curves have two halves of one, one curve has none and its additions are judged in sample. `table`
-writes one page, with the controls (`real_gels_controls.py`) and a figure a set (`real_gels_page.py`).
+heat and vapour transport. Tasks:
+
+- `characterize`: Newtonian, NHKV and generalised QKV.
+- `diagnose`: additions selected stepwise on every second curve, at most four, judged on the other curves, which no fit saw. Two
+  curves have two halves of one, one curve has none and its additions are judged in sample.
+- `other half`: the first addition of those other curves.
+- `halves`: the first addition of either half of all curves, of 20 at most.
+
+`table` writes one page, with the controls (`real_gels_controls.py`) and a figure a set (`real_gels_page.py`).
 """
 
 import argparse
 import json
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,13 +34,15 @@ from imr_torch import characterize, load_traces
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.errors import ImrError
-from imr_torch.gap import diagnose, library, noise_of_traces
+from imr_torch.gap import GapReport, diagnose, library, noise_of_traces
+from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.document import differing_document, selection_document
 from imr_torch.gap.parts import closed_by
-from imr_torch.material import wide_prior
-from imr_torch.observe import ExperimentBatch, GelMedium, TraceSet, find_landmarks, prepare
+from imr_torch.gap.stepwise import select_stepwise
+from imr_torch.material import Effect, ModelBelief, wide_prior
+from imr_torch.observe import Experiment, ExperimentBatch, GelMedium, TraceSet, find_landmarks, prepare
 from imr_torch.random import child
-from imr_torch.simulate import ACCURACIES, TransportSimulator
+from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 
 SETS: dict[str, str] = {
     "gel03_histotripsy": "agarose_0.5,density=1002:5",
@@ -62,8 +70,9 @@ SETS: dict[str, str] = {
 """Set -> stated medium, in the order in which they run. PEGDA: 1064 kg/m^3 is the default of the sources' scripts, not a
 measured value; gel03 and gel25 are agarose of .3 and 2.5 % by inference, and lie between the two that are stated."""
 
-TASKS = ("characterize", "diagnose", "other half")
+TASKS = ("characterize", "diagnose", "other half", "halves")
 BASE, MOST, SEED = "nhkv", 4, 0
+HALVED = 20  # curves that are divided into halves, at most
 _DROP_BEHIND = 50.0  # nats by which a model must be behind to be left there
 
 
@@ -96,33 +105,78 @@ def characterized(file: Path, most: int, medium: str) -> dict[str, Any]:
     return document | {"best": result.posterior.best.model, "rest_assumed": rest is not None}
 
 
+@dataclass(frozen=True)
+class Asked:
+    """The curves of a set in their halves, with the medium stated: what a diagnosis is asked."""
+
+    halves: tuple[Sequence[Experiment], Sequence[Experiment]]
+    base: ModelBelief
+    effects: tuple[Effect, ...]
+    simulator: Simulator
+    rest_assumed: bool
+
+    @classmethod
+    def of(cls, file: Path, most: int, medium: str) -> "Asked":
+        """At most so many curves of a file."""
+        traces, rest = traces_of(file, most)
+        simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
+        stated = medium_of(traces, medium, simulator.conditions.surroundings)
+        experiments = prepare(traces, stated.surroundings, rest_radius=rest).experiments
+        base = stated.believed_of(wide_prior((BASE,)).models[0])
+        return cls((experiments[::2], experiments[1::2]), base, _effects(stated), stated.applied(simulator), rest is not None)
+
+    def diagnosis(self, half: int, most: int) -> GapReport:
+        """Of one half."""
+        fitted = self.halves[half]
+        return diagnose(
+            fitted,
+            base=self.base,
+            effects=self.effects,
+            noise=noise_of_traces(fitted),
+            simulator=self.simulator,
+            most=min(most, 2),
+            seed=_seed(half),
+            progress=_progress,
+        )
+
+
+def _seed(half: int) -> int:
+    return child(SEED, ("first", "other")[half])
+
+
+def halved(file: Path, most: int, medium: str) -> dict[str, Any]:
+    """What either half of all curves, ``most`` at most, adds first."""
+    asked = Asked.of(file, most, medium)
+    if min(map(len, asked.halves)) < 2:
+        return {"skipped": "a half has fewer than two curves"}
+    found = []
+    for half in (0, 1):
+        report = asked.diagnosis(half, 1)
+        row = {"curves": [e.label for e in report.batch.experiments], "gap": report.found, "p_gap": report.gap.p_value}
+        row |= {"converged": report.converged, "ladder": None}
+        if report.found:
+            inquiry = Inquiry(report.null.prior, asked.effects, report.batch, asked.simulator)
+            tested = {step.winner: step.left for step in report.steps if step.left}
+            here = (inquiry, report.null, report.gap, report.fits)
+            selection = select_stepwise(*here, tested=tested, most=1, seed=_seed(half), progress=_progress)
+            row |= {"ladder": selection_document(selection), "unsettled": list(selection.unsettled)}
+        found.append(row)
+    return {"halves": found}
+
+
 def diagnosed(file: Path, most: int, medium: str, *, other: bool) -> dict[str, Any]:
     """Verdict and selection of every second curve, judged on the others; of the ``other`` half its first addition only."""
-    traces, rest = traces_of(file, most)
-    simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
-    stated = medium_of(traces, medium, simulator.conditions.surroundings)
-    simulator, base = stated.applied(simulator), stated.believed_of(wide_prior((BASE,)).models[0])
-    experiments = prepare(traces, stated.surroundings, rest_radius=rest).experiments
-    halves = experiments[::2], experiments[1::2]
-    fitted, unseen = halves[::-1] if other else halves
+    asked = Asked.of(file, most, medium)
+    fitted, unseen = asked.halves[::-1] if other else asked.halves
     if not fitted:
         return {"skipped": "one curve has no other half"}
-    noise, additions = noise_of_traces(fitted), 1 if other else MOST
-    effects, seed = _effects(stated), child(SEED, "other" if other else "first")
-    report = diagnose(
-        fitted,
-        base=base,
-        effects=effects,
-        noise=noise,
-        simulator=simulator,
-        most=min(additions, 2),
-        seed=seed,
-        progress=_progress,
-    )
+    additions, half = (1, 1) if other else (MOST, 0)
+    report = asked.diagnosis(half, additions)
+    noise, simulator, effects, seed = report.batch.noise, asked.simulator, asked.effects, _seed(half)
     row = {
         "curves": [e.label for e in fitted],
         "unseen": [e.label for e in unseen],
-        "rest_assumed": rest is not None,
+        "rest_assumed": asked.rest_assumed,
         "effects": [effect.name for effect in effects],
         "noise": vars(noise),
         "verdict": report.verdict,
@@ -177,6 +231,7 @@ def run(args: argparse.Namespace) -> None:
         "characterize": characterized,
         "diagnose": partial(diagnosed, other=False),
         "other half": partial(diagnosed, other=True),
+        "halves": lambda file, _, medium: halved(file, HALVED, medium),
     }
     with path.open("a", encoding="utf-8") as stream:
         for name, task in ((name, task) for name in names for task in args.tasks.split(",")):

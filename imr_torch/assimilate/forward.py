@@ -142,7 +142,7 @@ class ForwardModel:
     ) -> tuple[Float[Tensor, "*batch experiments frames controls"], Float[Tensor, "*batch experiments frames nuisances"]]:
         """Sensitivities to the gel (``batch_shape x E x T x d``) and to the nuisances (``batch_shape x E x T x w``).
 
-        Neighbours that failed give a slope of zero.
+        Neighbours that failed, be it after some frames, give a slope of zero.
 
         Args:
             moves: as of :meth:`bundle`.
@@ -155,5 +155,7 @@ class ForwardModel:
         else:
             by_gel = prediction.new_zeros(*prediction[..., 0, :, :].shape, moves.shape[-1])
         by_nuisance = prediction.new_zeros(*prediction[..., 0, :, :].shape, self.batch.nuisance_sds.shape[1])
-        by_nuisance[..., self.uncertain] = ((shifted - centre) / STEP).nan_to_num().movedim(-3, -1)
+        slopes = (shifted - centre) / STEP
+        good = torch.isfinite(slopes).all(-1, keepdim=True)
+        by_nuisance[..., self.uncertain] = torch.where(good, slopes, 0.0).movedim(-3, -1)
         return by_gel, by_nuisance

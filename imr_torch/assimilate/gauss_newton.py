@@ -13,6 +13,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+_ROUNDING = 1e-13  # of the largest eigenvalue of a matrix, below which rounding may take the others
+
 
 @dataclass(frozen=True)
 class Reduced:
@@ -116,18 +118,20 @@ def definite(hessian: Float[Tensor, "*batch controls controls"]) -> Float[Tensor
     """Hessians ``... x d x d`` in controls, with eigenvalues of at least 1 where rounding has left one that is not positive.
 
     The prior's own Hessian is the identity, so no exact one is smaller. Sensitivities of 1e8 standard deviations, at the
-    edge of where bubbles can be simulated, lose it in the elimination of the nuisances.
+    edge of where bubbles can be simulated, lose it in the sum with their squares or in the elimination of the nuisances. The
+    eigenvalues are also no less than what rounding leaves of the largest, so that the matrix can be factored.
 
     >>> import torch
     >>> from imr_torch.assimilate.gauss_newton import definite
-    >>> definite(torch.tensor([[1e18, 0.0], [0.0, -3.0]], dtype=torch.float64)).diagonal().tolist()
-    [1e+18, 1.0]
+    >>> definite(torch.tensor([[1e12, 0.0], [0.0, -3.0]], dtype=torch.float64)).diagonal().tolist()
+    [1000000000000.0, 1.0]
     """
     lost = torch.linalg.cholesky_ex(hessian).info > 0
     if not bool(lost.any()):
         return hessian
     values, vectors = torch.linalg.eigh(hessian)
-    mended = (vectors * values.clamp_min(1.0)[..., None, :]) @ vectors.mT
+    least = (_ROUNDING * values[..., -1:]).clamp_min(1.0)
+    mended = (vectors * torch.maximum(values, least)[..., None, :]) @ vectors.mT
     return torch.where(lost[..., None, None], 0.5 * (mended + mended.mT), hessian)
 
 
@@ -193,7 +197,7 @@ def normal_equations(
         gel_gradient=gel + gradients[0],
         nuisance_gradient=nuisances + gradients[1],
         gel_hessian=gel_prior + (by_gel.mT @ by_gel).sum(-3),
-        nuisance_hessian=nuisance_prior + by_nuisance.mT @ by_nuisance,
+        nuisance_hessian=definite(nuisance_prior + by_nuisance.mT @ by_nuisance),
         cross=by_nuisance.mT @ by_gel,
     )
 

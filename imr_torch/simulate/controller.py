@@ -18,7 +18,6 @@ SAFETY, SHRINK, GROW = 0.8, 0.1, 3.0  # steps change by SAFETY err^(-1/4), withi
 HEAT_WEIGHT = 0.3  # of temperatures beside R, U, ln P and vapour
 FIRST_STEP = 1e-3  # of every member
 UNDERFLOW = 1e-14  # step over time below which a member is given up
-RUNAWAY = 3.0  # radius over Rmax that no free oscillation reaches
 REST = 0.3  # keeps a bubble's time scale finite where nothing moves
 PATIENCE = 1.1  # a leader goes on beyond its last time, by so much at most, until its followers arrive
 

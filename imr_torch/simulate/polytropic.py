@@ -19,13 +19,12 @@ from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.engines import Engine, check_engine, compiles
 from imr_torch.simulate.gas import compression_of
 from imr_torch.simulate.sensitivity import differentiable
-from imr_torch.simulate.simulator import Solution, Status, in_transform, solve_batch, solve_bundles, together, tracked
+from imr_torch.simulate.simulator import RUNAWAY, Solution, Status, in_transform, solve_batch, solve_bundles, together, tracked
 from imr_torch.simulate.wall import Head, gas_loss, motion, vapour_factor
 
 _BLOCK = 32  # steps between two checks of which members are done
 _BATCH = 2000  # members solved together on a processor: larger batches leave its cache
 _BYTES = 75_000  # of a member while it is integrated
-_RUNAWAY = 3.0
 
 
 @dataclass(frozen=True)
@@ -194,14 +193,14 @@ def _judge(path: Tensor, last: Tensor) -> Tensor:
     radius, end = path[:, 0], path[-1, 2]
     finite = torch.isfinite(path).all(0).all(0) & (radius > 0.0).all(0)
     verdict = torch.where(end >= last, int(Status.DONE), int(Status.TOO_MANY_STEPS))
-    verdict = torch.where(radius.amax(0) > _RUNAWAY, int(Status.RUNAWAY), verdict)
+    verdict = torch.where(radius.amax(0) > RUNAWAY, int(Status.RUNAWAY), verdict)
     return torch.where(finite, verdict, int(Status.NON_FINITE))
 
 
 def _read(bubbles: Bubbles, history: Tensor, times: Tensor, status: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Radius, velocity and pressure at ``times``; NaN for times that a failed member did not reach in good state."""
     radius, nodes = history[:, 0], history[:, 2]
-    good = torch.isfinite(history).all(1) & (radius > 0.0) & (radius < _RUNAWAY)
+    good = torch.isfinite(history).all(1) & (radius > 0.0) & (radius < RUNAWAY)
     reached = torch.where(good, nodes, 0.0).amax(0)  # last good time of each member
     good = good.cummin(0).values
     nodes = torch.where(good, nodes, reached).cummax(0).values

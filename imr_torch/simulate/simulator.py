@@ -21,6 +21,9 @@ from imr_torch.simulate.conditions import Conditions
 NO_BLOCKS = 1 << 40
 """Members in a block, for solvers that take a whole batch at once."""
 
+RUNAWAY = 3.0
+"""R* that no free oscillation reaches."""
+
 EARLIEST = -0.5
 """``t*`` before which there is no bubble: ``t* = 0`` is the maximum radius, and growth is not simulated."""
 
@@ -343,9 +346,18 @@ def solve_batch(
     with torch.inference_mode(not tracked(parameters, designs, times)):
         parts = [solve(*block) for block in blocks]
     fields = [torch.cat(columns) for columns in zip(*parts, strict=True)]  # ordinary tensors again
-    radius, velocity, pressure = (x.reshape(*shape, -1) for x in fields[:3])
+    radius, velocity, pressure = (x.reshape(*shape, -1) for x in _bubbles_only(*fields[:3]))
     status, steps = (x.reshape(shape) for x in (_explain(fields[3], parameters), fields[4]))
     return Solution(times.reshape(*shape, -1), radius, velocity, pressure, status, steps)
+
+
+def _bubbles_only(radius: Tensor, velocity: Tensor, pressure: Tensor) -> tuple[Tensor, ...]:
+    """Curves with NaN from where on R* is that of no bubble: a follower may leave all bounds in the steps of its leader."""
+    wild = (radius <= 0.0) | (radius > RUNAWAY)
+    if not bool(wild.any()):
+        return radius, velocity, pressure
+    lost = wild.cumsum(1) > 0
+    return tuple(torch.where(lost, torch.nan, curve) for curve in (radius, velocity, pressure))
 
 
 def _explain(status: Tensor, parameters: Tensor) -> Tensor:

@@ -18,13 +18,13 @@ from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import interpolate
 from imr_torch.simulate.conditions import Conditions
-from imr_torch.simulate.controller import FIRST_STEP, PATIENCE, RUNAWAY, UNDERFLOW
+from imr_torch.simulate.controller import FIRST_STEP, PATIENCE, UNDERFLOW
 from imr_torch.simulate.engines import Engine, check_engine, compiles
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import CONTROL, METHOD, TransportField
 from imr_torch.simulate.rhs import Equations
 from imr_torch.simulate.sensitivity import differentiable
-from imr_torch.simulate.simulator import Solution, Status, in_transform, solve_batch, solve_bundles, together, tracked
+from imr_torch.simulate.simulator import RUNAWAY, Solution, Status, in_transform, solve_batch, solve_bundles, together, tracked
 
 _BATCH = 1000  # members integrated together on a processor; those that are done early are not replaced
 _BYTES = 150_000  # of a member while it is integrated

@@ -213,6 +213,20 @@ def test_that_sensitivities_of_any_size_leave_a_definite_hessian_and_a_factor_of
     assert torch.allclose(found.posterior_chol[:3], smooth.posterior_chol, rtol=1e-12)
 
 
+def test_that_nuisances_that_move_a_curve_alike_and_very_far_can_be_eliminated() -> None:
+    """Their own Hessian then has a row twice, and rounding takes the prior's 1 from its sum with 1e18."""
+    gel, nuisances, by_gel, by_nuisance, residual = problem(6)
+    by_nuisance[3:] = 1e9 * by_nuisance[3:, ..., :1]
+    found = assembled(gel, nuisances, by_gel, by_nuisance, residual)
+    smooth = assembled(gel[:3], nuisances[:3], by_gel[:3], by_nuisance[:3], residual[:3])
+    assert bool((torch.linalg.cholesky_ex(found.nuisance_hessian).info == 0).all())
+    for damping in (0.0, 1.0):
+        for step in found.step(torch.full((6,), damping, dtype=torch.float64)):
+            assert bool(torch.isfinite(step).all())
+    assert bool(torch.isfinite(found.whitened_gradient).all())
+    torch.testing.assert_close(found.nuisance_hessian[:3], smooth.nuisance_hessian, rtol=0.0, atol=0.0)
+
+
 def test_that_the_factor_of_an_ill_conditioned_inverse_is_lower_and_right() -> None:
     slopes = random(1, 4, 4, seed=9) * torch.tensor([1e7, 1.0, 1.0, 1e-2], dtype=torch.float64)
     hessian = torch.eye(4, dtype=torch.float64) + slopes.mT @ slopes

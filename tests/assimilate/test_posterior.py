@@ -96,6 +96,19 @@ def test_that_a_neighbour_that_fails_tells_nothing_and_the_others_do() -> None:
     assert bool(torch.isfinite(limited.equations.gel_hessian).all())
 
 
+def test_that_a_neighbour_that_fails_after_some_frames_tells_nothing() -> None:
+    batch = experiments(2, nuisance=BOTH)
+    near = linear(batch).neighbourhood(Point(tensor(0.0, 0.0), linear(batch).still()))
+    by_gel, by_nuisance = near.slopes
+    prediction = near.prediction.clone()
+    prediction[1, 0, -1] = prediction[3, 1, -1] = torch.nan  # G moved in one experiment, a nuisance in the other
+    lost = replace(near, prediction=prediction).slopes
+    assert float(lost[0][0, :, 0].abs().max()) == float(lost[1][1, :, 1].abs().max()) == 0.0
+    torch.testing.assert_close(lost[0][1], by_gel[1])
+    torch.testing.assert_close(lost[1][0], by_nuisance[0])
+    torch.testing.assert_close(lost[1][1, :, 2], by_nuisance[1, :, 2])
+
+
 def test_that_where_the_bubble_itself_fails_the_log_joint_is_minus_infinity() -> None:
     posterior = linear(experiments(2), fails=True)
     assert float(posterior.log_joint(Point(tensor(0.0, 0.0), posterior.still()))) == -torch.inf

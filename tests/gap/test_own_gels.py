@@ -229,7 +229,7 @@ def test_that_curves_and_steps_are_shown_where_no_cause_is_named(selected, tmp_p
     assert before > 2.0
     text = write_page(other, tmp_path / "page.html", parts, simulator=SIMULATOR).read_text()
     assert "and the model with differences between curves;" in text
-    assert re.search(r'<tr class=marked><td>differences between curves</td><td>0\.\d{4}</td>', text)
+    assert re.search(r"<tr class=marked><td>differences between curves</td><td>0\.\d{4}</td>", text)
     assert "differences between curves: misfit" not in text
 
 

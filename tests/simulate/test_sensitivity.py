@@ -211,6 +211,23 @@ def test_that_followers_that_fail_or_fall_behind_leave_their_leader_alone(simula
     assert bool(torch.isfinite(bundle.radius[3]).all())
 
 
+def test_that_a_follower_that_leaves_all_bounds_is_no_bubble_from_there_on() -> None:
+    """In the steps of its leader it may end at 1e154; an interpolation towards that is no radius either."""
+    curves = torch.ones(4, len(TIMES), dtype=torch.float64)
+    curves[1, 20:22] = torch.tensor([-2.6e154, torch.nan])
+    curves[2, 30] = 3.1
+
+    def solve(parameters: Tensor, designs: Tensor, times: Tensor, width: int) -> tuple[Tensor, ...]:
+        status = torch.zeros(4, dtype=torch.long)
+        return curves, curves, curves, status, status
+
+    parameters, designs = gels(1)
+    found = solve_bundles(solve, 4, (parameters[:, None].expand(-1, 4, -1), designs[:, None], TIMES))
+    for values in (found.radius, found.velocity, found.bubble_pressure):
+        assert torch.isfinite(values[0]).sum(1).tolist() == [33, 20, 30, 33]
+        assert float(values.nan_to_num().max()) == 1.0
+
+
 def test_that_a_leader_saved_by_a_finer_step_takes_its_followers_along() -> None:
     """A bubble that fails at its first step: a follower at another step than its leader would show as noise."""
     parameters, designs = PARAMETERS.neutral(), torch.tensor([1000.0, 0.05], dtype=torch.float64)

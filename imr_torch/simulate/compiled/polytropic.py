@@ -13,9 +13,8 @@ from imr_torch.simulate.clock import time_per_tick
 from imr_torch.simulate.compiled import laws
 from imr_torch.simulate.compiled.output import ACCELERATION, RADIUS, TIME, VELOCITY, fill
 from imr_torch.simulate.compiled.wall import gas_loss, member_of, motion, setup_of, vapour_factor
-from imr_torch.simulate.controller import RUNAWAY
 from imr_torch.simulate.gas import compression_of
-from imr_torch.simulate.simulator import Status
+from imr_torch.simulate.simulator import RUNAWAY, Status
 
 _DONE, _TOO_MANY, _NON_FINITE = int(Status.DONE), int(Status.TOO_MANY_STEPS), int(Status.NON_FINITE)
 _RUNAWAY = int(Status.RUNAWAY)

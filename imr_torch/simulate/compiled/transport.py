@@ -28,8 +28,8 @@ from imr_torch.simulate.compiled.step import (
     step,
 )
 from imr_torch.simulate.compiled.wall import member_of, setup_of
-from imr_torch.simulate.controller import GROW, HEAT_WEIGHT, PATIENCE, RUNAWAY, SAFETY, SHRINK, UNDERFLOW
-from imr_torch.simulate.simulator import Status
+from imr_torch.simulate.controller import GROW, HEAT_WEIGHT, PATIENCE, SAFETY, SHRINK, UNDERFLOW
+from imr_torch.simulate.simulator import RUNAWAY, Status
 
 _DONE, _TOO_MANY, _NON_FINITE = int(Status.DONE), int(Status.TOO_MANY_STEPS), int(Status.NON_FINITE)
 _RUNAWAY, _UNDERFLOW = int(Status.RUNAWAY), int(Status.STEP_UNDERFLOW)
