@@ -50,6 +50,7 @@ def controls(record: Record) -> list[Control]:
         _scores,
         _halves,
         _halves_choices,
+        _halves_of_all,
         _time,
     )
     return [check(record) for check in checks]
@@ -254,6 +255,22 @@ def _halves_choices(record: Record) -> Control:
     sizes = [len(choice) for a, b, _ in gaps for choice in (a, b)]
     value = f"{agree} of {len(choices)} sets; of {len(gaps)} with an addition in both, {overlap} (by chance {chance:.1f}); "
     return Control(name, must, value + f"additions in a choice: median {median(sizes or [0]):.0f}", agree >= 0.7 * len(choices))
+
+
+def _halves_of_all(record: Record) -> Control:
+    """The same by halves of all curves, by first additions and by those not clearly worse."""
+    name, must = "the same, halves of all curves, of 20 at most", "no target of its own; 70 % as above"
+    pairs = [row["halves"] for (_, task), row in record.items() if task == "halves" and "halves" in row]
+    if not pairs:
+        return _open(name, must)
+    same = sum(_first(one) == _first(two) for one, two in pairs)
+    choices = [(first_choice(one), first_choice(two)) for one, two in pairs]
+    common = sum(bool(a & b) or not (a or b) for a, b in choices)
+    sizes = sorted(len(half["curves"]) for pair in pairs for half in pair)
+    value = (
+        f"{same} of {len(pairs)} sets; {common} with those that are not clearly worse; {sizes[0]} to {sizes[-1]} curves a half"
+    )
+    return Control(name, must, value, same >= 0.7 * len(pairs))
 
 
 def _pairs(record: Record) -> list[tuple[dict[str, Any], dict[str, Any]]]:

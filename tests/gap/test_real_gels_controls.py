@@ -78,6 +78,15 @@ def test_that_halves_agree_by_their_first_addition_and_also_by_what_is_not_clear
     assert not of("the same gel", record([clock, clock], [wall, clock])).met
     assert not of("the same gel", record([clock], [either])).met
     assert of("the same, additions", record([clock], [either])).met
+
+
+def test_that_halves_of_all_curves_are_counted_by_themselves() -> None:
+    clock, wall, none = (row(*steps) for steps in ([step("clock")], [step("wall", alternatives=["clock"])], []))
+    pairs = {("one", "halves"): [clock, clock], ("two", "halves"): [clock, wall], ("three", "halves"): [clock, none]}
+    found = of("the same, halves of all", {key: {"halves": halves} for key, halves in pairs.items()})
+    assert found.value == "1 of 3 sets; 2 with those that are not clearly worse; 2 to 2 curves a half"
+    assert not found.met
+    assert of("the same, halves of all", {("one", "halves"): {"halves": [none, none]}}).met
     none = row() | {"ladder": None}
     assert of("the same gel", record([none], [none])).met  # no gap in both
     assert not of("the same gel", record([clock], [none])).met
