@@ -17,18 +17,10 @@ from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.lookalike import Likeness
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.plots import BESIDE
-from imr_torch.gap.report import (
-    all_parameters,
-    cause_values,
-    fit_beside,
-    headline,
-    next_step,
-    odds_text,
-    parameter_shift,
-    parameters,
-)
+from imr_torch.gap.report import headline, next_step, odds_text
 from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
 from imr_torch.gap.strengths import unusual_strengths, values_of_curves
+from imr_torch.gap.values import all_parameters, cause_values, fit_beside, parameter_shift, parameters
 from imr_torch.gap.verdict import VERDICT_ODDS
 from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch

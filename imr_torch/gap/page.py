@@ -17,9 +17,10 @@ from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.document import dense_curves
 from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.parts import Parts
-from imr_torch.gap.report import cause_values, fit_beside, fit_of_cause, headline, next_step, parameters, sections
+from imr_torch.gap.report import headline, next_step, sections
 from imr_torch.gap.selection_text import STEPS_HEAD, selection_notes, steps_table
 from imr_torch.gap.stepwise import StepwiseSelection
+from imr_torch.gap.values import cause_values, fit_beside, fit_of_cause, parameters
 from imr_torch.gap.windows import MovingWindows
 from imr_torch.html import Block, Picture, Table, write
 from imr_torch.html import page as html_page

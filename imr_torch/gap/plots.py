@@ -34,7 +34,7 @@ DATA, BASE, AFTER, ALARM = "#222222", "#E69F00", "#0072B2", "#D55E00"
 _SMALLEST = 300.0  # -log10 p beyond which p-values are zero in float64
 _LINEAR = 10.0  # -log10 p up to which axes are linear; logarithmic beyond
 _BARS = 12
-_ALL = 0.99
+_ALL = 0.99  # probability from which on others cannot be seen
 _BAND = 1.645  # standard deviations of a 90 % band
 
 
