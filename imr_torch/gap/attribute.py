@@ -86,17 +86,22 @@ class Attribution:
     def explained(self) -> dict[str, float]:
         """Hypothesis -> nats that its last effect explains: its log evidence over that without it, the largest first.
 
-        Of a fit in :attr:`given_up` it is what was explained where the fit ended.
+        Of a fit in :attr:`unconverged` it is what was explained where the fit ended.
         """
         without = "+".join(self.winner.split("+")[:-1]) or NONE
         gained = {name: own - self.log_evidence[without] for name, own in self.log_evidence.items() if name != without}
         return dict(sorted(gained.items(), key=lambda item: -item[1]))
 
     @property
+    def unconverged(self) -> tuple[str, ...]:
+        """Hypotheses whose fits did not converge."""
+        return tuple(name for name, fit in self.fits.items() if not fit.certificate.converged)
+
+    @property
     def given_up(self) -> tuple[str, ...]:
-        """Hypotheses whose fits were not continued, since by their costs and gradients they cannot come near the best one."""
+        """Those of them that were not continued, since by their costs and gradients they cannot come near the best one."""
         limit = min(fit.cost for fit in self.fits.values()) + _BEHIND
-        return tuple(n for n, f in self.fits.items() if not f.certificate.converged and f.cost - promised(f) > limit)
+        return tuple(name for name in self.unconverged if self.fits[name].cost - promised(self.fits[name]) > limit)
 
 
 @dataclass(frozen=True)

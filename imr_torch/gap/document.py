@@ -61,7 +61,7 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         "expected_loss": None if report.choice is None else report.choice.loss,
         "posterior": None if found is None else found.posterior,
         "explained_nats": None if found is None else found.explained,
-        "given_up": None if found is None else list(found.given_up),
+        "unconverged": None if found is None else list(found.unconverged),
         "posterior_at_odds": None if found is None else {odds_text(odds): own for odds, own in found.at_odds.items()},
         "verdict_odds": odds_text(VERDICT_ODDS),
         "unknown": None if found is None or found.likeness is None else _unknown(found, found.likeness),

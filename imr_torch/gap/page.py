@@ -18,7 +18,7 @@ from imr_torch.gap.document import dense_curves
 from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.report import headline, next_step, sections
-from imr_torch.gap.selection_text import STEPS_HEAD, selection_notes, steps_table
+from imr_torch.gap.selection_text import STEPS_HEAD, alternatives, cautions, curves_table, steps_table
 from imr_torch.gap.stepwise import StepwiseSelection
 from imr_torch.gap.values import cause_values, fit_beside, fit_of_cause, parameters
 from imr_torch.gap.windows import MovingWindows
@@ -95,7 +95,7 @@ def page(
         pictures = tuple(p.picture for p in placed if p.section == section.heading)
         said = section.sentences
         if section.heading == _TOGETHER and parts is not None and parts.selection is not None:
-            said = _steps(parts.selection)
+            said = _steps(parts.selection, [e.label for e in report.batch.experiments])
         blocks.append(Block(section.heading, (*said, *pictures), folded=section.folded))
     if facts:
         blocks.append(Block("Files, medium and software", (Table(tuple(facts)),), folded=True))
@@ -106,10 +106,12 @@ def page(
     return text
 
 
-def _steps(selection: StepwiseSelection) -> tuple[str | Table, ...]:
+def _steps(selection: StepwiseSelection, curves: Sequence[str]) -> tuple[str | Table, ...]:
     """The selection in a sentence, a table of its steps in which the best stands out, and what is to be known beside it."""
     best = frozenset(i for i, step in enumerate(selection.judged) if step is selection.best)
-    return (str(selection), Table(steps_table(selection), head=STEPS_HEAD, marked=best), *selection_notes(selection))
+    steps, (head, rows) = Table(steps_table(selection), head=STEPS_HEAD, marked=best), curves_table(selection, curves)
+    own = ("Parameters of each curve in the marked step:", Table(rows, head=head)) if rows else ()
+    return (str(selection), steps, *alternatives(selection), *cautions(selection), *own)
 
 
 def _gel(report: GapReport) -> tuple[tuple[str, ...], ...]:
@@ -194,11 +196,11 @@ def _likely(section: str, found: Attribution) -> Placed:
         top = max(found.posterior, key=found.posterior.__getitem__)
         alt = f"Bar chart of probabilities; {top} has {found.posterior[top]:.3f}."
         return _picture(section, "Probability of each cause.", alt, lambda: plots.plot_causes(found.posterior))
-    explained, given_up = found.explained, found.given_up
+    explained, loose = found.explained, found.unconverged
     top = next(iter(explained))
     alt = f"Bar chart of log evidence gained; {top} has {explained[top]:.0f} nats."
-    caption = "What a single further effect explains; none is enough. Light: its fit was given up, and it may explain more."
-    return _picture(section, caption, alt, lambda: plots.plot_explained(explained, given_up))
+    caption = "What a single further effect explains; none is enough. Light: its fit did not converge, so it may explain more."
+    return _picture(section, caption, alt, lambda: plots.plot_explained(explained, loose))
 
 
 def _picture(section: str, caption: str, alt: str, draw: Callable[[], Axes]) -> Placed:

@@ -173,13 +173,13 @@ def only_other(posterior: Mapping[str, float]) -> bool:
     return posterior.get("other", 0.0) > _ALL
 
 
-def plot_explained(explained: Mapping[str, float], given_up: Collection[str] = (), *, ax: Axes | None = None) -> Axes:
-    """Nats that each effect explains alone, the most first; light where its fit was given up, so that they may be more."""
+def plot_explained(explained: Mapping[str, float], unconverged: Collection[str] = (), *, ax: Axes | None = None) -> Axes:
+    """Nats that each effect explains alone, the most first; light where its fit did not converge, so that they may be more."""
     shown = sorted(explained.items(), key=lambda item: -item[1])[:_BARS]
     ax = _axes(ax, (5.6, 1.0 + 0.27 * len(shown)))
     top = max(1.0, *(nats for _, nats in shown))
     for place, (name, nats) in zip(range(len(shown) - 1, -1, -1), shown, strict=True):
-        loose = name in given_up
+        loose = name in unconverged
         ax.barh(place, max(nats, 0.0), color=AFTER, alpha=0.35 if loose else 1.0, height=0.7)
         ax.text(max(nats, 0.0) + 0.02 * top, place, f"{nats:.0f}{' or more' if loose else ''}", va="center", fontsize=8)
     ax.set_yticks(range(len(shown) - 1, -1, -1), [plain(name, 40) for name, _ in shown], fontsize=8)

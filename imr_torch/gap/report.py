@@ -253,7 +253,7 @@ def _causes(report: GapReport) -> tuple[str, ...]:
             else "Not tested, because the base model's fit did not converge.",
         )
     most = list(found.explained.items())[:_CAUSES]
-    gained = ", ".join(f"{name} {nats:.0f}{' or more' if name in found.given_up else ''}" for name, nats in most)
+    gained = ", ".join(f"{name} {nats:.0f}{' or more' if name in found.unconverged else ''}" for name, nats in most)
     lines = [
         *_probabilities(found),
         f"Log evidence gained by a single further effect, nats: {gained}.",
@@ -400,7 +400,7 @@ def _certificates(report: GapReport) -> tuple[str, ...]:
     lines += [f"{name}: {fit.certificate}." for name, fit in leading.items()]
     if found is not None:
         behind = found.given_up
-        loose = [n for n, fit in found.fits.items() if not fit.certificate.converged and n not in (found.winner, *behind)]
+        loose = [name for name in found.unconverged if name not in (found.winner, *behind)]
         if behind:
             lines.append(
                 "Fits that were given up, since by their costs and gradients they cannot come near that of "

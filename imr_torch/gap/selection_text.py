@@ -3,6 +3,8 @@
 A text has a sentence a step, a page a row of a table.
 """
 
+from collections.abc import Sequence
+
 from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
 from imr_torch.gap.strengths import unusual_strengths, values_of_curves
@@ -15,7 +17,9 @@ STEPS_HEAD = ("additions", "misfit in R*", "noise in R*", "closed on unseen curv
 
 def selection_sentences(selection: StepwiseSelection) -> tuple[str, ...]:
     """The selection in a sentence, then each step, and :func:`selection_notes`."""
-    return (str(selection), *map(_judged, selection.judged), *selection_notes(selection))
+    base = selection.steps[0].fit.prior
+    curves = _of_curves(selection.best, base)
+    return (str(selection), *map(_judged, selection.judged), *alternatives(selection), *curves, *cautions(selection))
 
 
 def steps_table(selection: StepwiseSelection) -> tuple[tuple[str, ...], ...]:
@@ -30,18 +34,28 @@ def steps_table(selection: StepwiseSelection) -> tuple[tuple[str, ...], ...]:
     return tuple(rows)
 
 
-def selection_notes(selection: StepwiseSelection) -> tuple[str, ...]:
-    """Additions that would do as well, what curves have of their own in the best step, and what is left open."""
-    base = selection.steps[0].fit.prior
-    lines = [
+def curves_table(selection: StepwiseSelection, labels: Sequence[str]) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
+    """The parameters of each curve in the best step: the head, and a row a curve; no rows where curves do not differ."""
+    values = values_of_curves(selection.best.fit, selection.steps[0].fit.prior)
+    head = ("curve", *(PARAMETERS[name].label for name in values))
+    rows = zip(labels, *(_shown(name, own) for name, own in values.items()), strict=True) if values else ()
+    return head, tuple(rows)
+
+
+def alternatives(selection: StepwiseSelection) -> tuple[str, ...]:
+    """Additions that would do as well, a sentence a step."""
+    return tuple(
         f"Not clearly worse in place of {in_words(step.added)}: {', '.join(map(in_words, step.alternatives))}."
         for step in selection.judged
         if step.alternatives
-    ]
-    lines += [*_of_curves(selection.best, base), *_unusual(selection.best, base)]
+    )
+
+
+def cautions(selection: StepwiseSelection) -> tuple[str, ...]:
+    """Effects of unusual strength in the best step, and what was left open."""
+    lines = _unusual(selection.best, selection.steps[0].fit.prior)
     unsettled = (" and ".join(map(in_words, name.split("+"))) for name in selection.unsettled)
-    lines += [f"{name} was no step, since its fit did not converge." for name in unsettled]
-    return tuple(lines)
+    return (*lines, *(f"{name} was no step, since its fit did not converge." for name in unsettled))
 
 
 def _judged(step: SelectionStep) -> str:
@@ -61,11 +75,13 @@ def _named(step: SelectionStep) -> str:
 def _of_curves(step: SelectionStep, base: ModelBelief) -> list[str]:
     """The parameters of each curve where curves differ."""
     values = values_of_curves(step.fit, base)
-    said = (
-        f"{PARAMETERS[name].label} {', '.join(f'{PARAMETERS[name].display_scale * value:.3g}' for value in own)}"
-        for name, own in values.items()
-    )
+    said = (f"{PARAMETERS[name].label} {', '.join(_shown(name, own))}" for name, own in values.items())
     return [f"Curve by curve, with {_named(step)}: {'; '.join(said)}."] if values else []
+
+
+def _shown(name: str, values: Sequence[float]) -> list[str]:
+    """Values of a parameter as they are shown."""
+    return [f"{PARAMETERS[name].display_scale * value:.3g}" for value in values]
 
 
 def _unusual(step: SelectionStep, base: ModelBelief) -> list[str]:

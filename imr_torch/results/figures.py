@@ -151,9 +151,9 @@ def _of_diagnosis(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
     if document["posterior"] and only_other(document["posterior"]) and document.get("explained_nats"):
         yield NamedFigure(
             "causes",
-            "What a single further effect explains; none is enough. Light: its fit was given up.",
+            "What a single further effect explains; none is enough. Light: its fit did not converge.",
             "Bar chart of log evidence gained.",
-            lambda: figure_of(plot_explained(document["explained_nats"], document["given_up"])),
+            lambda: figure_of(plot_explained(document["explained_nats"], document["unconverged"])),
         )
     elif document["posterior"]:
         yield NamedFigure(

@@ -231,6 +231,11 @@ def test_that_curves_and_steps_are_shown_where_no_cause_is_named(selected, tmp_p
     assert "and the model with differences between curves;" in text
     assert re.search(r"<tr class=marked><td>differences between curves</td><td>0\.\d{4}</td>", text)
     assert "differences between curves: misfit" not in text
+    assert "<tr><th>curve</th><th>G (kPa)</th><th>mu (Pa s)</th></tr>" in text
+    values = [f"{1e-3 * value:.3g}" for value in values_of_curves(selection.best.fit, report.null.prior)["G"]]
+    assert re.findall(r"<tr><td>shot \d</td><td>([\d.]+)</td>", text) == values
+    assert "Curve by curve" in describe(other, parts)
+    assert "Curve by curve" not in text
 
 
 def test_that_descents_of_a_held_out_curve_that_cannot_get_below_the_best_are_given_up(two_gels, apart, monkeypatch) -> None:

@@ -61,7 +61,7 @@ PARTS = (
 CAUSES = (
     "posterior",
     "explained_nats",
-    "given_up",
+    "unconverged",
     "posterior_at_odds",
     "unknown",
     "look_alikes",
@@ -233,6 +233,7 @@ def test_that_fits_that_were_given_up_are_told_from_those_that_did_not_converge(
         fits[name] = replace(fits[name], cost=best + behind, certificate=loose)
     changed = replace(causes, fits=fits)
     assert changed.given_up == ("refraction",)
+    assert set(changed.unconverged) == {"refraction", "rinf_bias"}
     text = describe(replace(report, attribution=changed))
     assert "given up, since by their costs and gradients they cannot come near that of sound_speed: refraction." in text
     assert "did not converge, so that their probabilities are lower bounds: rinf_bias." in text
