@@ -124,8 +124,9 @@ class PopulationLearner:
         return _MADE[key]
 
     def scales(self, prior: ModelBelief) -> Float[Tensor, "controls"]:
-        """``d`` tensor, scale of the prior of each control's scatter."""
-        return self.scale / coordinate_units(prior)
+        """``d`` tensor, scale of the prior of each control's scatter; 0 for what is inferred of the medium."""
+        varying = torch.tensor([name in prior.of_gel for name in prior.names])
+        return torch.where(varying, self.scale / coordinate_units(prior), 0.0)
 
 
 @dataclass(frozen=True)

@@ -35,10 +35,10 @@ def check_choices(*, effort: str, frames: str, scatter_scale: float) -> None:
 
 def check_population(prior: Belief) -> None:
     """Raise unless the models have few enough parameters to differ between shots."""
-    large = next((part for part in prior.models if len(part.names) > MOST), None)
+    large = next((part for part in prior.models if len(part.of_gel) > MOST), None)
     if large is not None:
         raise InputDataError(
-            f"{large.model} has {len(large.names)} free parameters, and at most {MOST} can differ between shots; leave the "
+            f"{large.model} has {len(large.of_gel)} parameters of the gel, and at most {MOST} can differ between shots; leave the "
             "model out, or give some of them as known."
         )
 

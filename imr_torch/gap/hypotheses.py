@@ -20,7 +20,6 @@ from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
 from imr_torch.assimilate.starts import BESIDE, around
 from imr_torch.material import LIBRARY, Belief, Effect, ModelBelief
 from imr_torch.material.belief import beside
-from imr_torch.material.models import material
 from imr_torch.observe import NUISANCES, ExperimentBatch, Scatter
 from imr_torch.population import SCALE
 from imr_torch.random import child, generator
@@ -126,10 +125,10 @@ def scatters(base: ModelBelief, prior: ModelBelief) -> dict[str, Scatter]:
         base: the base model's prior.
         prior: that of the base model, perhaps with effects.
     """
-    of_gel, amplitudes = material(base.model.split("+")[0]).names, {effect.names[0] for effect in LIBRARY.values()}
+    gel, amplitudes = base.of_gel, {effect.names[0] for effect in LIBRARY.values()}
     found = dict[str, Scatter]()
     for name, marginal in zip(prior.names, prior.marginals, strict=True):
-        if name in of_gel:
+        if name in gel:
             found[name] = Scatter(SCALE)
         elif name in amplitudes and name not in base.names:
             found[name] = Scatter(SCALE, _AMOUNT, marginal)

@@ -3,8 +3,9 @@
 No effect of one gel explains two. Every curve is fitted by itself, and the evidence of curves whose gels are from one
 population is that of the Gaussians about these fits, integrated over the population's median and scatters by quadrature
 (:mod:`imr_torch.population.quadrature`): as first-order as that of the effects that it is compared with. It is taken at the
-base model and beside the best effect, whose parameters are then the same in all curves. The hypothesis is adequate where the
-gap test rejects no curve at its own fit. It is not computed for sets with repeats, whose repeats may be of different gels too.
+base model and beside the best effect, whose parameters are then the same in all curves, as what is inferred of the medium
+always is. The hypothesis is adequate where the gap test rejects no curve at its own fit. It is not computed for sets with
+repeats, whose repeats may be of different gels too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -120,7 +121,7 @@ def gel_scatter(report: GapReport, simulator: Simulator, *, scale: float = SCALE
     >>> gel_scatter(report, simulator).is_cause
     True
     """
-    batch, names = report.batch, report.null.prior.names
+    batch, names = report.batch, report.null.prior.of_gel
     repeated = any(experiment.repeats > 1 for experiment in batch.experiments)
     if len(batch.experiments) < 2 or repeated or len(names) > MOST or not report.null.certificate.converged:
         return None

@@ -170,7 +170,7 @@ class StepwiseSelection:
 
         The last step where none was held out.
         """
-        if self.steps[-1].log_score is None:
+        if all(step.log_score is None for step in self.judged):
             return self.steps[-1]
         scores = [step.log_score[0] if step.log_score and step.closed and step.closed[1] > 0.0 else 0.0 for step in self.judged]
         return self.judged[scores.index(max(scores))]

@@ -113,6 +113,12 @@ class ModelBelief:
         """Free parameters."""
         return tuple(name for name in self.material.free if name not in self.known)
 
+    @cached_property
+    def of_gel(self) -> tuple[str, ...]:
+        """Those of the constitutive model: not what is inferred of the medium, and not of effects beside it."""
+        own = material(self.model.split("+")[0]).free
+        return tuple(name for name in self.names if name in own)
+
     def controls(self, count: int, *, seed: SeedLike) -> Float[Tensor, "count controls"]:
         """``count x d`` independent draws of the controls."""
         noise = torch.randn(count, len(self.names), generator=generator(seed), dtype=self.mean.dtype)

@@ -46,7 +46,8 @@ def infer_population(
 
     Args:
         fits: one weighted assimilation of one model per shot, as of :func:`fit_shots`.
-        varying: parameters that may differ from shot to shot, all when not given; the others are the same in all.
+        varying: parameters that may differ from shot to shot, all of the gel when not given; the others, and what is inferred
+            of the medium, are the same in all.
         scale: of the half-normal prior of the scatters.
         draws: of population, scatters and shots; half as many for each evidence.
         seed: of these draws.
@@ -73,7 +74,7 @@ def infer_population(
     prior = _checked(fits, varying, scale, draws)
     shots = tuple(ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits)
     names, units = prior.names, coordinate_units(prior)
-    columns = [names.index(name) for name in (varying or names)]
+    columns = [names.index(name) for name in (varying or prior.of_gel)]
 
     def problem(which: Sequence[int], width: float) -> Problem:
         scales = torch.zeros(len(names), dtype=torch.float64)
@@ -136,7 +137,7 @@ def _checked(fits: Sequence[Assimilation], varying: Sequence[str] | None, scale:
     unknown = [name for name in varying or () if name not in prior.names]
     if unknown:
         raise InputDataError(f"varying: {unknown[0]!r} is no free parameter of {prior.model!r}, which has {prior.names}.")
-    count = len(prior.names if varying is None else set(varying))
+    count = len(prior.of_gel if varying is None else set(varying))
     if not 1 <= count <= MOST:
         raise InputDataError(
             f"{count} parameters would vary from shot to shot; at least 1 and at most {MOST} can. Name them in `varying`."

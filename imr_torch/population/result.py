@@ -229,15 +229,17 @@ class Population:
             f"Population of {self.prior.material.title} gels (90 % intervals; prior of scatters half-normal, {self.scale:g}):",
         ]
         for name in self.prior.names:
-            ahead = _range(entries[name], self.next_shot(name))
-            lines.append(f"  {name:6s} median {entries[name].interval(*self.median(name))}, a shot to come {ahead}")
-            if name in self.varying:
+            median = entries[name].interval(*self.median(name))
+            if name not in self.varying:
+                lines.append(f"  {name:6s} {median}, the same in all shots")
+            else:
+                lines.append(f"  {name:6s} median {median}, a shot to come {_range(entries[name], self.next_shot(name))}")
                 words = scatter_words(self.prior, name, self.scatter(name))
                 lines.append(f"         {words}; evidence for it {self.by_parameter[name]}")
         lines.append("Each shot, given all (and alone):")
         for label in self.labels:
             cells = []
-            for name in self.prior.names:
+            for name in self.varying:
                 alone = _range(entries[name], self.alone(label, name))
                 cells.append(f"{name} {entries[name].interval(*self.shot(label, name))}, alone {alone}")
             lines.append(f"  {label}: " + "; ".join(cells))

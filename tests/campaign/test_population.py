@@ -23,7 +23,7 @@ from imr_torch.cli import main
 from imr_torch.design import Plan
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import Experiment, SimulatedLaboratory
+from imr_torch.observe import Experiment, SimulatedLaboratory, Statement, gel_medium
 from imr_torch.random import child, generator
 from tests.journals import cut
 
@@ -157,3 +157,14 @@ def test_that_options_that_do_not_suit_are_refused(words, text: str, tmp_path: P
     assert main(["campaign", *words, "--out", str(tmp_path / "x")]) != 0
     assert text in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
+
+
+def test_that_what_is_inferred_of_the_medium_is_not_asked_for_scatter() -> None:
+    part = gel_medium(Statement.from_text("density=1060:20")).believed_of(PRIOR.models[0])
+    with_density, without = (
+        population.information_about((), prior, LEARNER.scales(prior)) for prior in (part, PRIOR.models[0])
+    )
+    assert part.names[-1] == "density"
+    assert torch.equal(with_density.scatter[:, :2], without.scatter)
+    assert float(with_density.scatter[:, 2].abs().max()) == 0.0
+    assert with_density.limit() > without.limit()  # a shot that showed its gel would also tell the density

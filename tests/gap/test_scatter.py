@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch import PolytropicSimulator
+from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.gap import GapReport, diagnose, library
 from imr_torch.gap.scatter import GelScatter, gel_scatter
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import Experiment, SimulatedLaboratory
+from imr_torch.observe import Experiment, SimulatedLaboratory, Statement, gel_medium
 
 SIMULATOR = PolytropicSimulator(threads=1)
 EFFECTS = library(["gas_loss", "surface_tension"])
@@ -60,6 +60,18 @@ def test_that_an_effect_of_one_gel_is_not_taken_for_scatter() -> None:
     assert found is not None
     assert not found.is_cause
     assert found.explained["gas_loss"] > found.explained["gel_scatter"]
+
+
+def test_that_the_medium_does_not_differ_between_curves() -> None:
+    medium = gel_medium(Statement.from_text("density=1060:20"))
+    base = medium.believed_of(wide_prior(["nhkv"]).models[0])
+    shots = [shot(number, {"G": G, "mu": 0.09}) for number, G in enumerate((6e3, 11e3, 8e3))]
+    report = diagnose(shots, base=base, effects=EFFECTS, simulator=medium.applied(SIMULATOR))
+    found = gel_scatter(report, medium.applied(SIMULATOR))
+    assert "density" in base.names
+    assert found is not None
+    assert set(found.scatter) == {"G", "mu"}
+    assert found.is_cause
 
 
 def test_that_repeats_and_a_single_curve_are_not_asked(two_gels: tuple[GapReport, GelScatter]) -> None:

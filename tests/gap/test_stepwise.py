@@ -9,7 +9,7 @@ import torch
 from imr_torch.gap import Parts, StepwiseSelection, additions, describe, diagnose, examine, library, to_json
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.attribute import Inquiry, fitted_values
-from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence
+from imr_torch.gap.hypotheses import GEL_SCATTER, Hypothesis, laplace_evidence
 from imr_torch.gap.stepwise import left_over, misfit_in_difference, select_stepwise
 from imr_torch.material import LIBRARY
 from imr_torch.observe import ExperimentBatch
@@ -77,6 +77,15 @@ def test_that_an_adequate_last_step_which_predicts_worse_is_told_apart_from_what
         "the last step, which leaves only noise on the fitted curves, is not the one that does best on others."
     )
     assert "what is left is noise" not in said
+
+
+def test_that_differences_between_curves_are_reported_where_no_effect_is_a_step(selected) -> None:
+    selection = selected[1].selection
+    apart = replace(selection.steps[1], effects=(GEL_SCATTER,), log_score=(9.0, 1.0), closed=(0.5, 0.7, 0.9))
+    only = replace(selection, steps=selection.steps[:1], differing=apart)
+    assert only.best is apart
+    assert str(only).startswith("differences between curves close 0.70 (0.50 to 0.90) of the gap")
+    assert replace(only, differing=replace(apart, closed=(-0.5, -0.1, 0.2))).best is selection.steps[0]
 
 
 def test_that_what_explains_the_designs_it_was_fitted_to_but_no_other_closes_nothing() -> None:

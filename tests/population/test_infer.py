@@ -12,7 +12,15 @@ from imr_torch.assimilate import SearchOptions, assimilate, weigh
 from imr_torch.assimilate.noise_estimation import estimated_noise
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
-from imr_torch.observe import Experiment, ExperimentBatch, Nuisance, SimulatedLaboratory, predict
+from imr_torch.observe import (
+    Experiment,
+    ExperimentBatch,
+    Nuisance,
+    SimulatedLaboratory,
+    Statement,
+    gel_medium,
+    predict,
+)
 from imr_torch.population import Population, ShotLikelihood, fit_shots, infer_population
 from imr_torch.population.result import quantiles
 from imr_torch.population.sampling import Problem, jackknife_error, sample_population
@@ -330,3 +338,21 @@ def test_that_a_fit_without_draws_is_refused() -> None:
     fit = _fits()[0].fits[0]
     with pytest.raises(InputDataError, match="no weighted draws"):
         ShotLikelihood.of("e0", replace(fit, sample=None))
+
+
+def test_that_what_is_inferred_of_the_medium_is_the_same_in_all_shots() -> None:
+    medium = gel_medium(Statement.from_text("density=1060:20"))
+    part = medium.believed_of(wide_prior(["nhkv"]).models[0])
+    simulator, design = medium.applied(PolytropicSimulator(threads=1)), tensor(400.0, 0.22)
+    films = [
+        SimulatedLaboratory(simulator, PARAMETERS.pack({"G": G, "mu": 0.09}), repeats=1).shoot(
+            design, seed=i, label=f"film {i}"
+        )
+        for i, G in enumerate((6e3, 8e3, 11e3))
+    ]
+    population = infer_population(fit_shots(part, films, simulator, rounds=0, samples=64), draws=500)
+    assert part.names == ("G", "mu", "density")
+    assert population.varying == part.of_gel == ("G", "mu")
+    assert population.shot("film 0", "density") == population.shot("film 2", "density") == population.median("density")
+    assert "the same in all shots" in population.report()
+    assert set(population.by_parameter) == {"G", "mu"}
