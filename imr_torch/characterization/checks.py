@@ -38,8 +38,8 @@ def check_population(prior: Belief) -> None:
     large = next((part for part in prior.models if len(part.of_gel) > MOST), None)
     if large is not None:
         raise InputDataError(
-            f"{large.model} has {len(large.of_gel)} parameters of the gel, and at most {MOST} can differ between shots; leave the "
-            "model out, or give some of them as known."
+            f"{large.model} has {len(large.of_gel)} parameters of the gel, and at most {MOST} can differ between shots; leave "
+            "the model out, or give some of them as known."
         )
 
 
