@@ -16,7 +16,7 @@ STEPS_HEAD = ("additions", "misfit in R*", "noise in R*", "closed on unseen curv
 
 
 def selection_sentences(selection: StepwiseSelection) -> tuple[str, ...]:
-    """The selection in a sentence, then each step, and :func:`selection_notes`."""
+    """The selection, each step, what would do as well, what curves have of their own in the best step, what is left open."""
     base = selection.steps[0].fit.prior
     curves = _of_curves(selection.best, base)
     return (str(selection), *map(_judged, selection.judged), *alternatives(selection), *curves, *cautions(selection))
