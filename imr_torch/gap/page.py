@@ -18,7 +18,7 @@ from imr_torch.gap.document import dense_curves
 from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.report import headline, next_step, sections
-from imr_torch.gap.selection_text import STEPS_HEAD, alternatives, cautions, curves_table, steps_table
+from imr_torch.gap.selection_text import HEADING, STEPS_HEAD, alternatives, cautions, curves_table, steps_table
 from imr_torch.gap.stepwise import StepwiseSelection
 from imr_torch.gap.values import cause_values, fit_beside, fit_of_cause, parameters
 from imr_torch.gap.windows import MovingWindows
@@ -28,7 +28,6 @@ from imr_torch.material import PARAMETERS
 from imr_torch.simulate import Simulator
 
 _CURVES = 6
-_TOGETHER = "How much do known effects close together?"
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ def page(
     for section in others:
         pictures = tuple(p.picture for p in placed if p.section == section.heading)
         said = section.sentences
-        if section.heading == _TOGETHER and parts is not None and parts.selection is not None:
+        if section.heading == HEADING and parts is not None and parts.selection is not None:
             said = _steps(parts.selection, [e.label for e in report.batch.experiments])
         blocks.append(Block(section.heading, (*said, *pictures), folded=section.folded))
     if facts:
@@ -177,7 +176,7 @@ def _pictures(report: GapReport, parts: Parts, simulator: Simulator | None) -> l
         caption = "From the base model towards the noise: what is left of the misfit as effects are added one after the other."
         alt = f"Bar chart of the misfit by step. {selection}"
         steps = [plots.DrawnStep(step.effects, step.misfit, step.noise, step.closed) for step in selection.steps]
-        made.append(_picture(_TOGETHER, caption, alt, lambda: plots.plot_selection(steps)))
+        made.append(_picture(HEADING, caption, alt, lambda: plots.plot_selection(steps)))
     if (after := fit_of_cause(report)) is not None:
         made.append(
             _picture(

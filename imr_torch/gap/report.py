@@ -16,7 +16,7 @@ from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import GEL_SCATTER
 from imr_torch.gap.parts import Parts
-from imr_torch.gap.selection_text import selection_sentences
+from imr_torch.gap.selection_text import HEADING, selection_sentences
 from imr_torch.gap.values import cause_values, fit_of_cause, parameter_shift
 from imr_torch.gap.verdict import OTHER, VERDICT_ODDS
 from imr_torch.goodness.score import ADEQUATE, LEVEL, BlockResult
@@ -79,7 +79,7 @@ def sections(report: GapReport, parts: Parts | None = None) -> list[Section]:
         Section("Which effect causes it?", _causes(report), folded=nothing),
         Section("Does the gel differ between the curves?", _scatter(parts), folded=parts.scatter is None),
         Section("How far does it shrink?", _shrinkage(report, parts), folded=nothing or parts.shrinkage is None),
-        Section("How much do known effects close together?", steps, folded=parts.selection is None),
+        Section(HEADING, steps, folded=parts.selection is None),
         Section("What does it do to the parameters?", _shift(report), folded=fit_of_cause(report) is None),
         Section("What to measure next?", _next(report, parts), folded=parts.next_design is None),
         Section("Not tested, and why", _not_tested(report, parts), folded=True),

@@ -11,6 +11,9 @@ from imr_torch.gap.strengths import unusual_strengths, values_of_curves
 from imr_torch.labels import p_value
 from imr_torch.material import PARAMETERS, ModelBelief
 
+HEADING = "How much do known effects close together?"
+"""The question that a stepwise selection answers."""
+
 STEPS_HEAD = ("additions", "misfit in R*", "noise in R*", "closed on unseen curves", "nats better on them", "adequacy")
 """Columns of :func:`steps_table`."""
 
