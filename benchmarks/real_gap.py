@@ -2,7 +2,7 @@
 
   python benchmarks/real_gap.py FOLDER [--sets gelatin,pa] [--curves 2] [--collapses 4] [--base nhkv] [--out ...]
 
-FOLDER holds one CSV file a gel, as `load_traces` reads them. Heat and vapour transport, noise from the roughness of the curves,
+FOLDER holds one CSV file a gel, as `load_traces` reads them. Heat and vapour transport, noise of single frames inferred,
 Rmax, time zero and R_inf of each curve uncertain, window of four collapses, as a gap may begin behind the two that are usual in
 a fit; records without a tail are given R_inf/Rmax = .2 +- .08. Each set leaves NAME.html and NAME.txt in the folder of results
 and a line in rows.jsonl; sets that have a line are not run again.
@@ -19,7 +19,7 @@ from real_data import REST, SEED, chosen_files, run_missing, some
 
 from imr_torch import load_traces
 from imr_torch.errors import ImrError
-from imr_torch.gap import describe, diagnose, examine, library, noise_of_traces, to_json, write_page
+from imr_torch.gap import describe, diagnose, examine, library, to_json, write_page
 from imr_torch.material import wide_prior
 from imr_torch.observe import find_landmarks, prepare
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
@@ -50,17 +50,16 @@ class Task:
             traces = some(load_traces(self.file), self.curves)
             tail = all(find_landmarks(trace).rest_radius_m is not None for trace in traces)
             experiments = prepare(traces, collapses=self.collapses, rest_radius=None if tail else REST).experiments
-            noise, base = noise_of_traces(experiments), wide_prior((self.base,)).models[0]
-            effects = library(base=self.base)
+            base, effects = wide_prior((self.base,)).models[0], library(base=self.base)
             report = diagnose(
-                experiments, base=base, effects=effects, noise=noise, simulator=simulator, seed=SEED, progress=print_
+                experiments, base=base, effects=effects, estimate_noise=True, simulator=simulator, seed=SEED, progress=print_
             )
             parts = examine(report, simulator, seed=SEED, progress=print_)
             (self.out / f"{name}.txt").write_text(describe(report, parts) + "\n")
             write_page(report, self.out / f"{name}.html", parts)
         except ImrError as error:
             return {"set": name, "failure": f"{type(error).__name__}: {error}"}
-        row = {"set": name, "curves": len(experiments), "rest_assumed": not tail, "noise_scale": noise.scale}
+        row = {"set": name, "curves": len(experiments), "rest_assumed": not tail, "noise_scale": report.batch.noise.scale}
         return row | {"bias_radius": report.gap.bias_radius, "reason": report.reason} | to_json(report, parts)
 
 

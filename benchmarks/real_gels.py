@@ -34,7 +34,7 @@ from imr_torch import characterize, load_traces
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.errors import ImrError
-from imr_torch.gap import GapReport, diagnose, library, noise_of_traces
+from imr_torch.gap import GapReport, diagnose, library
 from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.document import differing_document, selection_document
 from imr_torch.gap.parts import closed_by
@@ -132,7 +132,7 @@ class Asked:
             fitted,
             base=self.base,
             effects=self.effects,
-            noise=noise_of_traces(fitted),
+            estimate_noise=True,
             simulator=self.simulator,
             most=min(most, 2),
             seed=_seed(half),

@@ -14,7 +14,7 @@ from pathlib import Path
 import torch
 
 from imr_torch import example_gel
-from imr_torch.gap import LIBRARY, describe, diagnose, examine, library, noise_of_traces, plots, to_json, write_page
+from imr_torch.gap import LIBRARY, describe, diagnose, examine, library, plots, to_json, write_page
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory, load_traces, prepare
 from imr_torch.simulate import PolytropicSimulator, TransportSimulator
@@ -81,11 +81,9 @@ print(blind.verdict, blind.cause, "-", blind.reason)
 physics = PolytropicSimulator() if SMOKE else TransportSimulator()
 traces = load_traces(example_gel())
 curves = prepare(traces.select(["shot_1"]) if SMOKE else traces).experiments
-noise = noise_of_traces(curves)
-print(f"noise {noise}")
-report = diagnose(
-    curves, effects=library(("rinf_bias", "clock", "heat_exchange")) if SMOKE else None, noise=noise, simulator=physics
-)
+offered = library(("rinf_bias", "clock", "heat_exchange")) if SMOKE else None
+report = diagnose(curves, effects=offered, estimate_noise=True, simulator=physics)
+print(f"noise {report.batch.noise}")
 parts = examine(report, physics)
 print(describe(report, parts))
 write_page(report, OUT / "example_gel.html", parts, title="Example gel")

@@ -5,6 +5,7 @@ from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.forward import ForwardModel, Point
 from imr_torch.assimilate.frame_jitter import FrameJitter, find_frame_jitter
+from imr_torch.assimilate.frame_noise import FrameNoise, FrameNoisePrior, infer_frame_noise
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
 from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.assimilate.map_fit import assimilate
@@ -26,6 +27,8 @@ __all__ = [
     "FitOptions",
     "ForwardModel",
     "FrameJitter",
+    "FrameNoise",
+    "FrameNoisePrior",
     "ImportanceSample",
     "ModelFit",
     "Neighbourhood",
@@ -47,6 +50,7 @@ __all__ = [
     "ensemble_sensitivity",
     "find_bad_frames",
     "find_frame_jitter",
+    "infer_frame_noise",
     "noise_edges",
     "normal_equations",
     "profile",

@@ -19,9 +19,10 @@ from imr_torch.assimilate.masking import away_from_collapses
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.material import PARAMETERS, ModelBelief
 from imr_torch.observe import ExperimentBatch
-from imr_torch.observe.roughness import SD_OVER_MAD
 from imr_torch.simulate import Simulator
 
+SD_OVER_MAD = 1.482602
+"""Standard deviation of a Gaussian over its median absolute deviation."""
 PRIOR = 0.01
 """Probability of a frame to be bad, before the data."""
 

@@ -36,7 +36,8 @@ def misfit_law(fits: Sequence[Neighbourhood], prior: NoisePrior) -> Noise:
 def _variances(near: Neighbourhood, law: Noise, drifting: Noise) -> tuple[float, float]:
     """Summed variances of the gel's whitened coordinates by residuals of the drifting law, and by those of the other."""
     batch = near.posterior.batch
-    sd, true_sd = (noise.sd(near.centre, batch.times) / batch.counts.sqrt() for noise in (law, drifting))
+    factors = batch.noise_factors / batch.counts.sqrt()
+    sd, true_sd = (noise.sd(near.centre, batch.times) * factors for noise in (law, drifting))
     by_gel, by_nuisance = (torch.where(batch.mask, 1.0 / sd, 0.0)[..., None] * x for x in near.slopes)
     nuisance = torch.eye(3, dtype=torch.float64) + by_nuisance.mT @ by_nuisance
     own = by_gel - by_nuisance @ torch.linalg.solve(nuisance, by_nuisance.mT @ by_gel)

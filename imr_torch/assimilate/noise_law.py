@@ -67,7 +67,7 @@ class NoiseGrid:
         """Noise of one repeat at scale 1: predictions ``... x E x T`` to ``J x ... x E x T``; 1 in the padding."""
         floorless = self.law.sd(prediction, batch.times).square() - self.law.floor**2
         floors = self.floors.reshape(-1, *[1] * prediction.ndim)
-        return torch.where(batch.mask, (floorless + floors.square()).sqrt(), 1.0)
+        return torch.where(batch.mask, (floorless + floors.square()).sqrt() * batch.noise_factors, 1.0)
 
     def innovations(self, batch: ExperimentBatch, dims: int) -> tuple[Tensor, Tensor]:
         """Factors of each frame and of the one before it, ``J x 1... x E x T`` with ``dims`` dimensions after the first."""

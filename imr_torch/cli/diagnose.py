@@ -28,12 +28,11 @@ from imr_torch.gap import (
     library,
     load_set,
     medium_sensitivities,
-    noise_of_traces,
     to_json,
     write_page,
 )
 from imr_torch.material import MATERIALS, wide_prior
-from imr_torch.observe import Experiment, GelMedium, Noise, TraceSet, load_traces, prepare
+from imr_torch.observe import Experiment, GelMedium, TraceSet, load_traces, prepare
 from imr_torch.results.page import assumed_rows, footer, provenance_table
 from imr_torch.simulate import Simulator
 
@@ -55,9 +54,16 @@ def run(args: argparse.Namespace) -> None:
     fitted = [e for e in experiments if e not in held_out]
     if not fitted:
         raise InputDataError(f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer.")
-    noise = _noise(args, fitted)
     progress = progress_of(args, DIAGNOSE)
-    report = diagnose(fitted, base=base, effects=effects, noise=noise, simulator=simulator, seed=args.seed, progress=progress)
+    report = diagnose(
+        fitted,
+        base=base,
+        effects=effects,
+        estimate_noise=_estimates_noise(args),
+        simulator=simulator,
+        seed=args.seed,
+        progress=progress,
+    )
     parts = examine(report, simulator, unseen=held_out, most=args.most, seed=args.seed, progress=progress)
     assumed = medium_sensitivities(report.null, report.batch, simulator, medium) if report.converged else ()
     print(describe(report, parts))
@@ -146,11 +152,7 @@ def _named(experiments: Sequence[Experiment], text: str, option: str) -> list[Ex
     return [e for e in experiments if e.label in chosen]
 
 
-def _noise(args: argparse.Namespace, experiments: Sequence[Experiment]) -> Noise:
-    """The noise law that was asked for, or the one that suits the data."""
+def _estimates_noise(args: argparse.Namespace) -> bool:
+    """Whether the noise is inferred from the data, as was asked for or as suits them."""
     known = "published" if _is_set(args.files[0]) else "estimated"
-    if (args.noise or known) == "published":
-        return Noise()
-    noise = noise_of_traces(experiments)
-    print(f"noise {noise}\n")
-    return noise
+    return (args.noise or known) == "estimated"

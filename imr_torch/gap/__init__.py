@@ -10,7 +10,6 @@ from imr_torch.gap.report import describe
 from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
 from imr_torch.goodness import FitTest, check_fit
 from imr_torch.material import LIBRARY, Effect, library, register_effect
-from imr_torch.observe.roughness import noise_of_traces
 from imr_torch.observe.sets import load_set
 
 __all__ = [
@@ -32,7 +31,6 @@ __all__ = [
     "library",
     "load_set",
     "medium_sensitivities",
-    "noise_of_traces",
     "register_effect",
     "to_json",
     "write_page",

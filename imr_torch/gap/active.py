@@ -20,7 +20,6 @@ from imr_torch.gap.forecast import unknown_like
 from imr_torch.gap.identity_design import NextDesign, identity_design
 from imr_torch.material import Belief, ModelBelief, library
 from imr_torch.observe import ExperimentBatch
-from imr_torch.observe.roughness import noise_of_traces
 from imr_torch.random import child
 from imr_torch.simulate import Simulator, coarser, described
 from imr_torch.types import Progress
@@ -85,15 +84,16 @@ class CauseLearner:
         """
         base = _only(prior)
         offered = library(self.effects or None, base=base.model)
-        noise = noise_of_traces(batch.curves) if self.estimate_noise else batch.noise
-        key = _key(base, [e.name for e in offered], batch, vars(noise), described(simulator), seed, self.most)
+        how = (self.estimate_noise, vars(batch.noise))
+        key = _key(base, [e.name for e in offered], batch, how, described(simulator), seed, self.most)
         if key not in _MADE:
             own = child(seed, "diagnose", len(batch.experiments))
             made = diagnose(
                 batch.curves,
                 base=base,
                 effects=offered,
-                noise=noise,
+                noise=batch.noise,
+                estimate_noise=self.estimate_noise,
                 simulator=simulator,
                 most=self.most,
                 seed=own,

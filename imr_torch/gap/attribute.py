@@ -12,7 +12,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from imr_torch.assimilate import ModelFit, SearchOptions
+import torch
+
+from imr_torch.assimilate import ModelFit, Posterior, SearchOptions
+from imr_torch.assimilate.frame_noise import smooth_noise_gain
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.evidence import CheckedEvidence, check_evidence, rescaled_evidence
 from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence, promised
@@ -27,6 +30,7 @@ from imr_torch.types import Progress
 
 SCALES = (0.5, 2.0)
 """Factors on the prior scales of all amplitudes under which the leader's probability is computed again."""
+_SCALES_OF_NOISE = 9  # over which probabilities are averaged where the noise was inferred
 _LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
 _WIDE = 45.0  # degrees from which on two effects are not called alike, however small
 _NEGLIGIBLE = 20.0  # nats behind the best at which another prior scale does not matter
@@ -43,8 +47,8 @@ class Attribution:
     Args:
         fits: hypothesis -> fit, ``"none"`` among them; one that was discarded is not converged.
         log_evidence: hypothesis -> nats.
-        posterior: hypothesis -> probability at ``VERDICT_ODDS``, with ``"none"`` and ``"other"``; those not fitted to the end
-            are far behind.
+        posterior: hypothesis -> probability at ``VERDICT_ODDS``, with ``"none"``, ``"other"`` and, where the noise was
+            inferred, ``"slow_noise"``; those not fitted to the end are far behind.
         families: family -> probability, declared forms of one thing summed.
         winner: name of the best hypothesis beside none.
         adequacy: the gap test at the winner's fit.
@@ -247,7 +251,8 @@ def _concluded(
     size = math.sqrt(max(2.0 * (problem.null.cost - fits[winner].cost), 0.0))
     like = problem.before.likeness(size, seed=seed)
     factor, masked = like.bayes_factor(left.test.p_value), problem.masked
-    at_odds = {o: probabilities(evidence, problem.effects, problem.with_, factor, odds=o, masked=masked) for o in ODDS}
+    believed = _Believed(problem, fits, factor, masked, _slow_noise(problem, evidence))
+    at_odds = {odds: believed.posterior(evidence, odds) for odds in ODDS}
     posterior = at_odds[VERDICT_ODDS]
     effect = next(e for e in problem.effects if e.name == winner.split("+")[-1])
     return Attribution(
@@ -263,8 +268,52 @@ def _concluded(
         at_odds=at_odds,
         alike=_alike(problem, fits, winner, effect, size),
         checked=checked,
-        rescaled={scale: _rescaled(problem, fits, evidence, factor, scale)[winner] for scale in SCALES},
+        rescaled={scale: _rescaled(believed, evidence, scale)[winner] for scale in SCALES},
     )
+
+
+def _slow_noise(problem: _Problem, evidence: Mapping[str, float]) -> float | None:
+    """Log evidence for noise that lasts several frames beside what is held; None where the noise is known."""
+    batch = problem.inquiry.batch
+    if batch.noise_laws is None:
+        return None
+    near = Posterior(problem.null.prior, batch, problem.inquiry.simulator).neighbourhood(problem.null.point)
+    return evidence[problem.null_name] + smooth_noise_gain(near)
+
+
+@dataclass(frozen=True)
+class _Believed:
+    """What probabilities follow from beside the evidence: the problem, its fits, and how an unknown effect would look."""
+
+    problem: _Problem
+    fits: Mapping[str, ModelFit]
+    bayes_factor: float
+    masked: float
+    slow_noise: float | None
+
+    def posterior(self, evidence: Mapping[str, float], odds: float = VERDICT_ODDS) -> dict[str, float]:
+        """Probabilities of all causes, averaged over what is known of the scale of the noise."""
+        laws = self.problem.inquiry.batch.noise_laws
+        log_scales = [0.0] if laws is None else laws.log_scales(_SCALES_OF_NOISE).tolist()
+        squares = {name: self._square(fit) for name, fit in self.fits.items()}
+        each = []
+        for log_scale in log_scales:
+            share = 0.5 * (1.0 - math.exp(-2.0 * log_scale))  # nats that a larger noise gives back of each squared residual
+            slow = None if self.slow_noise is None else self.slow_noise + share * min(squares.values())
+            scaled = {name: value + share * squares[name] for name, value in evidence.items()}
+            each.append(self._at(scaled, odds, slow))
+        return {name: sum(one[name] for one in each) / len(each) for name in each[0]}
+
+    def _at(self, evidence: Mapping[str, float], odds: float, slow_noise: float | None) -> dict[str, float]:
+        effects, with_ = self.problem.effects, self.problem.with_
+        factor, masked = self.bayes_factor, self.masked
+        return probabilities(evidence, effects, with_, factor, odds=odds, masked=masked, slow_noise=slow_noise)
+
+    def _square(self, fit: ModelFit) -> float:
+        """Whitened squared residual of a fit."""
+        batch = self.problem.inquiry.batch
+        residual = torch.where(batch.mask, batch.mean - fit.prediction, 0.0).nan_to_num()
+        return float(batch.whiten(residual, batch.sd(fit.prediction)).square().sum().nan_to_num(1e300))
 
 
 def _alike(
@@ -285,16 +334,15 @@ def _winner(problem: _Problem, evidence: Mapping[str, float]) -> str:
     return max((name for name in evidence if name != problem.null_name), key=lambda name: evidence[name])
 
 
-def _rescaled(
-    problem: _Problem, fits: Mapping[str, ModelFit], evidence: Mapping[str, float], factor: float, scale: float
-) -> dict[str, float]:
+def _rescaled(believed: _Believed, evidence: Mapping[str, float], scale: float) -> dict[str, float]:
     """The posterior with the prior scales of all amplitudes multiplied."""
+    problem, fits = believed.problem, believed.fits
     best, changed = max(evidence.values()), dict(evidence)
     for effect in problem.effects:
         name = Hypothesis(problem.inquiry.base, (*problem.with_, effect)).name
         if evidence.get(name, -math.inf) > best - _NEGLIGIBLE:
             changed[name] += rescaled_evidence(fits[name], effect, scale)
-    return probabilities(changed, problem.effects, problem.with_, factor, masked=problem.masked)
+    return believed.posterior(changed)
 
 
 def _families(posterior: Mapping[str, float], effects: Sequence[Effect]) -> dict[str, float]:

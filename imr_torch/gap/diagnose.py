@@ -5,17 +5,18 @@ without converged fits.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit
+from imr_torch.assimilate import ModelFit, Posterior
+from imr_torch.assimilate.frame_noise import infer_frame_noise, without_spikes
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
 from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, fit_null, laplace_evidence
-from imr_torch.gap.verdict import NONE, OTHER, Choice, choose
+from imr_torch.gap.verdict import NONE, OTHER, SLOW_NOISE, Choice, choose
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value
@@ -27,6 +28,7 @@ from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 _NO_GAP = 0.5  # probability of the base model alone from which on there is no gap
+_NOISE_ROUNDS = 2  # times that the noise is inferred and the base model fitted with it
 _UNKNOWN = 0.5  # probability of an unknown effect from which on the verdict is "other", once further effects were tried
 
 
@@ -48,6 +50,7 @@ class GapReport:
         reason: one sentence on how the verdict came about.
         choice: the causes of least expected loss with their probabilities; None where no effect was fitted.
         steps: attributions in the order of the selection, ``attribution`` among them.
+        spoilt: label of a curve -> frames that a single error of the camera has spoilt, which are left out.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -74,6 +77,7 @@ class GapReport:
     reason: str = field(default="")
     choice: Choice | None = None
     steps: tuple[Attribution, ...] = ()
+    spoilt: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def found(self) -> bool:
@@ -104,6 +108,7 @@ def diagnose(
     base: ModelBelief | None = None,
     effects: Sequence[Effect] | None = None,
     noise: Noise | None = None,
+    estimate_noise: bool = False,
     simulator: Simulator | None = None,
     most: int = 2,
     seed: int = 0,
@@ -115,7 +120,9 @@ def diagnose(
         experiments: the data, one entry a design.
         base: prior of the base model; a wide prior of NHKV by default.
         effects: the library to choose from; all that can be put on the base by default.
-        noise: law of one repeat's noise.
+        noise: law of one repeat's noise; the published one by default.
+        estimate_noise: whether the law is inferred from the curves about the fit of the base model, with ``noise`` to begin
+            with (:func:`imr_torch.assimilate.infer_frame_noise`); tests and probabilities are then averaged over it.
         simulator: makes the bubbles; full physics by default.
         most: effects that are selected one after the other, at most.
         seed: of every random number.
@@ -143,6 +150,10 @@ def diagnose(
     simulator = fewer_steps(simulator or TransportSimulator(accuracy=ACCURACIES["search"]))
     batch = ExperimentBatch(tuple(experiments), noise or Noise())
     null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
+    spoilt = dict[str, int]()
+    if estimate_noise:
+        batch, spoilt = _without_spikes(null, base, batch, simulator)
+        null, batch = _with_inferred_noise(null, base, batch, simulator, seed=child(seed, "noise"), progress=progress)
     base_left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
     gap = base_left.test
     if progress:
@@ -168,7 +179,33 @@ def diagnose(
         reason=found.reason,
         choice=found.choice,
         steps=found.steps,
+        spoilt=spoilt,
     )
+
+
+def _without_spikes(
+    null: ModelFit, base: ModelBelief, batch: ExperimentBatch, simulator: Simulator
+) -> tuple[ExperimentBatch, dict[str, int]]:
+    """Single curves without frames that a single error of the camera has spoilt, and how many of each there were."""
+    if any(e.repeats > 1 for e in batch.curves):
+        return batch, {}
+    kept = without_spikes(Posterior(base, batch, simulator).neighbourhood(null.point))
+    experiments = tuple(e.at(kept[row, : len(e.times)]) for row, e in enumerate(batch.curves))
+    lost = (batch.mask & ~kept).sum(1).tolist()
+    return replace(batch, experiments=experiments), {e.label: n for e, n in zip(experiments, lost, strict=True) if n}
+
+
+def _with_inferred_noise(
+    null: ModelFit, base: ModelBelief, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None
+) -> tuple[ModelFit, ExperimentBatch]:
+    """The base model's fit under the noise that is inferred about it, and the data with that noise."""
+    for number in range(_NOISE_ROUNDS):
+        near = Posterior(base, batch, simulator).neighbourhood(null.point)
+        batch = infer_frame_noise(near).applied(batch)
+        if progress:
+            progress(f"noise {batch.noise}")
+        null = fit_null(base, batch, simulator, seed=child(seed, number), near=null, progress=progress)
+    return null, batch
 
 
 @dataclass(frozen=True)
@@ -203,6 +240,8 @@ def _select(inquiry: Inquiry, null: ModelFit, left: Adequacy, most: int, *, seed
         choice, steps, held = choose(found.posterior), (*steps, found), chosen
         if not held and found.posterior[NONE] >= _NO_GAP:
             return replace(_not_confirmed(found, left.test), choice=choice, steps=steps)
+        if _is_slow_noise(found):
+            return replace(_slow_noise(found, steps[0], choice, held), steps=steps)
         chosen = (*chosen, next(e for e in inquiry.effects if e.name == found.winner.split("+")[-1]))
         fit = found.fits[found.winner]
         if found.posterior[OTHER] <= _UNKNOWN:
@@ -249,6 +288,25 @@ def _unexplained(
     return _Finding(OTHER, (), reason, first, test.p_value, choice)
 
 
+def _is_slow_noise(found: Attribution) -> bool:
+    """Whether slow noise, or an unknown effect that looks like it, is more probable than all else, and no known effect is."""
+    slow = found.posterior.get(SLOW_NOISE)
+    if slow is None or slow + found.posterior[OTHER] <= _UNKNOWN:
+        return False
+    return slow >= max(p for name, p in found.posterior.items() if name not in (OTHER, SLOW_NOISE))
+
+
+def _slow_noise(found: Attribution, first: Attribution, choice: Choice, held: Sequence[Effect]) -> _Finding:
+    """The verdict where deviations look like noise that lasts several frames, of each curve its own."""
+    beside = f"Beside {' and '.join(effect.name for effect in held)}, the" if held else "The"
+    slow = found.posterior[SLOW_NOISE]
+    reason = (
+        f"{beside} curves differ from the model by slow noise of the camera (probability {slow:.2f}) or by an unknown effect that "
+        "looks like it: repeat a shot. Noise will differ from shot to shot, an effect will not."
+    )
+    return _Finding(OTHER, (), reason, first, found.adequacy.p_value, choice)
+
+
 def _not_confirmed(found: Attribution, test: GapTest) -> _Finding:
     """Verdict "none" although the test rejects: it does so by chance at its level, and then no effect explains much."""
     reason = (
@@ -269,6 +327,9 @@ def _name(held: Sequence[Effect], found: Attribution, choice: Choice) -> _Findin
         without = f"{' and '.join(before)} alone" if before else "The base model alone"
         reason = f"{without} keeps a probability of {choice.members[NONE]:.2f}: too much to name a cause."
         return replace(finding, reason=reason)
+    if SLOW_NOISE in choice.members:
+        slow = choice.members[SLOW_NOISE]
+        return replace(finding, reason=f"Slow noise of the camera looks alike (probability {slow:.2f}): repeat a shot.")
     if not choice.decided:
         return replace(finding, reason="The probability is spread over too many effects to name a cause.")
     if len(choice.causes) == 1:

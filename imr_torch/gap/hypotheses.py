@@ -136,14 +136,25 @@ def scatters(base: ModelBelief, prior: ModelBelief) -> dict[str, Scatter]:
 
 
 def fit_null(
-    base: ModelBelief, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None = None
+    base: ModelBelief,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+    near: ModelFit | None = None,
+    progress: Progress | None = None,
 ) -> ModelFit:
     """The base model with nuisances, from several starts, with its certificate, which the caller must check.
 
     A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals, is taken up again; where
-    converged starts disagree, more of them are made.
+    converged starts disagree, more of them are made. A fit of the same curves with other noise is a start, where it is given.
     """
     belief, options = _belief((base,)), SearchOptions()
+    if near is not None:
+        start = as_assimilation(near, batch)
+        moved = assimilate(belief, batch, simulator, seed=seed, options=options, near=start, warn=False, progress=progress)
+        if moved.fits[0].certificate.converged:
+            return moved.fits[0]
     search = partial(assimilate, belief, batch, simulator, warn=False, progress=progress)
     fit = search(seed=seed, options=options).fits[0]
     if fit.certificate.gradient >= options.gradient:

@@ -196,6 +196,7 @@ class _Tests:
         self._line = replace(where.line, fitted=winner[:, None])
         self._freedom = len(winner) - 1 + where.beyond
         self._beyond = where.beyond
+        self._everything = where.line.batch.noise_laws is None
         rows = {n: own for n, own in where.library.items() if n != name} | where.generic
         blocks = [block(n, own, self._line) for n, own in rows.items()]
         tested = [b for b in blocks if b.directions.shape[1]]
@@ -210,11 +211,12 @@ class _Tests:
         total = rows.square().sum(-1) + noise[..., size:].square().sum(-1)
         squares = (rows @ torch.cat(self._blocks, 1)).square().split([d.shape[1] for d in self._blocks], -1)
         logs = [log_survival(s.sum(-1), d.shape[1]) for s, d in zip(squares, self._blocks, strict=True)]
-        return torch.stack([*logs, log_survival(total, self._freedom)])
+        return torch.stack([*logs, log_survival(total, self._freedom)] if self._everything else logs)
 
     def without(self, logs: Tensor, family: str | None) -> Tensor:
         """Smallest log p-value over all tests but the blocks of a family, which would not be offered."""
-        kept = [i for i, own in enumerate([*self._families, ""]) if family is None or own != family]
+        families = [*self._families, ""] if self._everything else self._families
+        kept = [i for i, own in enumerate(families) if family is None or own != family]
         return logs[kept].amin(0)
 
 
@@ -237,7 +239,7 @@ def _coordinates(rows: Mapping[str, Tensor], generic: Mapping[str, Tensor], line
     basis = right[size > 1e-6 * size[0].clamp_min(1e-300)]
     empty = line.residual.new_zeros(len(basis))
     inside = replace(line, residual=empty, fitted=empty[:, None][:, :0])
-    beyond = len(line.residual) - line.fitted.shape[1] - len(basis)
+    beyond = int(line.batch.mask.sum()) - len(basis)
     return _Coordinates(
         inside,
         {name: own @ basis.mT for name, own in library.items()},

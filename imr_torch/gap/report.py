@@ -18,7 +18,7 @@ from imr_torch.gap.hypotheses import GEL_SCATTER
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.selection_text import HEADING, selection_sentences
 from imr_torch.gap.values import cause_values, fit_of_cause, parameter_shift
-from imr_torch.gap.verdict import OTHER, VERDICT_ODDS
+from imr_torch.gap.verdict import OTHER, SLOW_NOISE, VERDICT_ODDS
 from imr_torch.goodness.score import ADEQUATE, LEVEL, BlockResult
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, PARAMETERS
@@ -118,6 +118,8 @@ def next_step(report: GapReport, parts: Parts | None = None) -> str:
         return (
             f"Measure {', '.join(report.cause)} by other means, or shoot another design: these curves do not tell them apart."
         )
+    if is_slow_noise(report):
+        return "Repeat a shot at the same design: noise differs between repeats, an effect of the gel does not."
     if report.verdict == "other" and parts.selection is not None and GEL_SCATTER in parts.selection.best.effects:
         return (
             "Do not use the parameters of one gel, since curves differ: infer the population (characterize --population), and "
@@ -136,6 +138,8 @@ def headline(report: GapReport) -> str:
     unknown = _or_unknown(report)
     if report.verdict == "none":
         return "No gap was found: the base model describes these data within their noise."
+    if is_slow_noise(report):
+        return "There is a gap: slow noise of the camera, or an effect that the library does not hold and that looks like it."
     if report.verdict == "other":
         return "There is a gap, and no effect of the library that was offered explains it."
     if report.verdict == "effect":
@@ -170,6 +174,7 @@ def _gap(report: GapReport) -> tuple[str, ...]:
         "under the fitted base model.",
         f"Size: {test.bias_sigma:.2f} standard deviations of a single shot (rms), {test.bias_radius:.4f} in R*, without the "
         "part that the fitted parameters absorb.",
+        *_noise(report),
         "Smallest p-values: " + "; ".join(f"{b.name} ({p_value(b.p_value)}{_power(b)})" for b in test.blocks[:_BLOCKS]) + ".",
     ]
     known = [b for b in test.blocks if b.name in LIBRARY and not math.isnan(b.power)]
@@ -178,6 +183,30 @@ def _gap(report: GapReport) -> tuple[str, ...]:
         lines.append(f"Would probably be missed here at a typical size: {'; '.join(_missed(hidden, test.blocks))}.")
     elif known:
         lines.append("Every effect of the library that was offered would probably be found here at a typical size.")
+    return tuple(lines)
+
+
+def is_slow_noise(report: GapReport) -> bool:
+    """Whether the verdict is noise of the camera that lasts several frames, or an unknown effect that looks like it."""
+    return report.verdict == OTHER and report.choice is not None and SLOW_NOISE in report.choice.members
+
+
+def _noise(report: GapReport) -> tuple[str, ...]:
+    """The noise law where it was inferred, shots with a noise of their own, and frames that were left out."""
+    batch = report.batch
+    if batch.noise_laws is None:
+        return ()
+    sd = float(batch.sd(report.null.prediction)[batch.mask].median())
+    low, _, high = batch.noise_laws.intervals()["scale"]
+    lines = [
+        f"Noise of single frames, inferred from the curves: {sd:.4f} in R* in the median frame (90 %: "
+        f"{low / batch.noise.scale:.2f} to {high / batch.noise.scale:.2f} times that); {batch.noise}."
+    ]
+    own = {e.label: e.noise_factor for e in batch.curves if e.noise_factor != 1.0}
+    lines += [f"The noise of {label} is {factor:.2f} times that of the other curves." for label, factor in own.items()]
+    if report.spoilt:
+        counts = ", ".join(f"{count} of {label}" for label, count in report.spoilt.items())
+        lines.append(f"Frames that stand alone, far off their neighbours, were left out: {counts}.")
     return tuple(lines)
 
 

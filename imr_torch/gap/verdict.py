@@ -1,9 +1,11 @@
 """From evidence to probabilities of causes, and from these to a verdict by a stated loss.
 
 An unknown effect has prior odds against the known ones, and the Bayes factor of how much the best of them leaves unexplained
-(:mod:`imr_torch.gap.lookalike`); so the probability of "other" and the adequacy of the leading effect are one thing. The
-verdict names the set of causes of least expected loss: a truth outside the set costs 1, every further member .1, and to stay
-undecided .35. So a cause is a member where its probability exceeds .1, and an unknown effect is one like any other.
+(:mod:`imr_torch.gap.lookalike`); so the probability of "other" and the adequacy of the leading effect are one thing. Where the
+noise is inferred from single curves, noise of the camera that lasts several frames is a cause of its own; an unknown effect may
+look exactly like it, and is as probable as it is. The verdict names the set of causes of least expected loss: a truth outside
+the set costs 1, every further member .1, and to stay undecided .35. So a cause is a member where its probability exceeds .1,
+and an unknown effect is one like any other.
 """
 
 import math
@@ -12,8 +14,8 @@ from dataclasses import dataclass
 
 from imr_torch.material import Effect
 
-NONE, OTHER = "none", "other"
-"""The base model alone; an effect that is not in the library."""
+NONE, OTHER, SLOW_NOISE = "none", "other", "slow_noise"
+"""The base model alone; an effect that is not in the library; noise of the camera that lasts several frames."""
 PRIOR_NONE = 0.5
 """That nothing is missing."""
 ODDS = (1.0 / 9.0, 1.0)
@@ -31,7 +33,8 @@ class Choice:
     """The set of causes of least expected loss.
 
     Args:
-        members: its causes with their probabilities, largest first; ``"none"`` and ``"other"`` may be among them.
+        members: its causes with their probabilities, largest first; ``"none"``, ``"other"`` and ``"slow_noise"`` may be among
+            them.
         loss: expected; that of staying undecided where that is less.
         decided: whether naming the set costs less than staying undecided.
 
@@ -47,7 +50,7 @@ class Choice:
     @property
     def causes(self) -> tuple[str, ...]:
         """The known effects among the members."""
-        return tuple(name for name in self.members if name not in (NONE, OTHER))
+        return tuple(name for name in self.members if name not in (NONE, OTHER, SLOW_NOISE))
 
     @property
     def leader(self) -> str:
@@ -75,8 +78,9 @@ def probabilities(
     *,
     odds: float = VERDICT_ODDS,
     masked: float = 1.0,
+    slow_noise: float | None = None,
 ) -> dict[str, float]:
-    """Posterior over hypotheses, ``"none"`` (of the effects asked about) and ``"other"``.
+    """Posterior over hypotheses, ``"none"`` (of the effects asked about), ``"other"`` and, if asked for, ``"slow_noise"``.
 
     Prior: the base model .5; the rest is shared between known and unknown effects by ``odds``, and among the known ones evenly
     over families (declared forms of one thing, so that two forms of an effect do not count twice). Beside an effect that was
@@ -89,6 +93,7 @@ def probabilities(
         bayes_factor: of an unknown effect over the leading one, by what that leaves unexplained.
         odds: prior odds of an unknown effect against the known ones.
         masked: beside selected effects, the chance that these alone did not explain an unknown effect.
+        slow_noise: log evidence, nats, of noise of the camera that lasts several frames; it counts as one more family.
     """
     prefix = "+".join(effect.name for effect in with_)
     families = [effect.family for effect in effects]
@@ -99,10 +104,12 @@ def probabilities(
         if name in evidence:
             logs[name] = math.log(known / len(set(families)) / families.count(effect.family)) + evidence[name]
     logs[NONE] = math.log(PRIOR_NONE) + evidence[prefix or NONE]
+    if slow_noise is not None:
+        logs[SLOW_NOISE] = math.log(known / (len(set(families)) + 1)) + slow_noise
     top = max(logs.values())
     weights = {name: math.exp(value - top) for name, value in logs.items()}
-    of_effects = sum(weight for name, weight in weights.items() if name != NONE)
+    of_effects = sum(weight for name, weight in weights.items() if name not in (NONE, SLOW_NOISE))
     against = odds * masked / PRIOR_TWO if with_ else odds
-    weights[OTHER] = of_effects * min(against * bayes_factor, 1e12)
+    weights[OTHER] = of_effects * min(against * bayes_factor, 1e12) + odds * weights.get(SLOW_NOISE, 0.0)
     total = sum(weights.values())
     return {name: weight / total for name, weight in weights.items()}

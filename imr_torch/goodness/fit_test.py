@@ -1,8 +1,9 @@
 """A cheap test of whether a fitted model explains the curves: the gap test's generic blocks at a fit that exists already.
 
 No effect of the library is tried, so it costs a few dozen bubbles and names no cause; :func:`imr_torch.gap.diagnose` does both.
-Noise that was estimated from the residuals of the fit cannot be used: a misfit would widen it and so hide itself. The noise is
-taken from the frame-to-frame roughness of the curves (:func:`imr_torch.observe.noise_of_traces`), as in a diagnosis of curves.
+Noise that was estimated from the residuals as a whole cannot be used: a misfit would widen it and so hide itself. The noise is
+that of single frames, which a smooth misfit does not change (:func:`imr_torch.assimilate.infer_frame_noise`), as in a
+diagnosis.
 """
 
 import time
@@ -13,18 +14,17 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit
-from imr_torch.errors import InputDataError
+from imr_torch.assimilate import ModelFit, Posterior, infer_frame_noise
+from imr_torch.assimilate.noise_estimation import determines_noise
 from imr_torch.goodness.linear import Linearisation, curves, linearise, shifted
 from imr_torch.goodness.phases import phase_clock, phase_name
 from imr_torch.goodness.score import LEVEL, gap_test, generic_blocks
 from imr_torch.labels import p_value
 from imr_torch.observe import ExperimentBatch, Noise
-from imr_torch.observe.roughness import noise_of_traces
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 
-FORM = "generic blocks of the gap test at the fit, without effects of the library; noise from the roughness of the curves"
+FORM = "generic blocks of the gap test at the fit, without effects of the library; noise of single frames inferred"
 _LARGE = 4.0  # posterior standard deviations in all; a fit that must move farther to suit the noise of the test is moved first
 
 
@@ -112,11 +112,10 @@ def check_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
     (True, True)
     """
     started = time.process_time()
-    try:
-        noise = noise_of_traces(batch.curves)
-        batch = ExperimentBatch(batch.experiments, noise)
-    except InputDataError as error:
-        return FitTest(fit.model, None, reason=str(error))
+    if not determines_noise(fit, batch):
+        return FitTest(fit.model, None, reason="too few frames for the noise to be inferred from them; shoot more curves.")
+    near = Posterior(fit.prior, batch, simulator).neighbourhood(fit.point)
+    batch = infer_frame_noise(near).applied(batch)
     fit, line = _settled(fit, batch, simulator)
     test = gap_test(generic_blocks(fit, batch, simulator, line), line, seed=child(seed, "fit test"))
     if test.found and not (fit.certificate.converged or fit.certificate.nearly_converged):
@@ -132,7 +131,7 @@ def check_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
         float(batch.times[row, column]),
         float(left[row, column]),
         test.bias_radius,
-        noise,
+        batch.noise,
         seconds=time.process_time() - started,
     )
 

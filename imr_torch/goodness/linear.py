@@ -48,6 +48,12 @@ class Linearisation:
         q, r = torch.linalg.qr(self.fitted)
         return torch.linalg.solve_triangular(r, q.mT, upper=True)
 
+    def noise_ratios(self, count: int, *, generator: torch.Generator) -> Float[Tensor, "draws rows"]:
+        """Noise drawn from what is known of it, over that by which rows are whitened; 1 for priors and 0 in the padding."""
+        ratios = self.batch.log_noise_ratios(self.prediction, count, generator=generator).exp()
+        ratios = torch.where(self.batch.mask, ratios, 0.0).flatten(1)
+        return torch.nn.functional.pad(ratios, (0, len(self.residual) - ratios.shape[1]), value=1.0)
+
     def explained(self, shift: Float[Tensor, "*batch fitted"]) -> Float[Tensor, "*batch rows"]:
         """What shifts ``... x k`` of everything fitted change in the data, to first order: rows ``... x N``."""
         rows = shift @ self.fitted.mT

@@ -45,6 +45,10 @@ _LAWS = (
 )  # of the generic closure, and coefficients at which its directions are taken
 LEAST_LEFT = 1e-4
 """Part of a direction's square that must be left beside the fitted directions for it to be tested."""
+_SURE = 2.0  # standard deviations by which the scale of inferred noise may be wrong
+_LAWS_DRAWN = 500  # noise laws over which the p-value of a block is averaged
+EVERYTHING = "everything (chi-square)"
+"""Name of the test of all residuals together, which only noise that is known allows."""
 STATE_LAW = "generic stress law"
 """Name of the block of the generic closure."""
 _SMALL = 0.05  # amplitude of a first start over the effect's own: so near the null fit that a descent ends below that
@@ -214,16 +218,25 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
         seed: of the residuals drawn under the fitted model.
     """
     tested = [b for b in blocks if b.directions.shape[1]]
-    freedom = line.residual.shape[0] - line.fitted.shape[1]
-    noise = torch.randn(BOOTSTRAP, line.residual.shape[0], generator=generator(seed), dtype=torch.float64)
-    drawn = line.project(noise)
-    rows = torch.cat((line.residual[None], drawn))
-    ranks = [b.directions.shape[1] for b in tested] + [freedom]
-    statistics = [(rows @ b.directions).square().sum(1) for b in tested] + [rows.square().sum(1)]
+    names, sizes = [b.name for b in tested], [b.size for b in tested]
+    source = generator(seed)
+    ratios = line.noise_ratios(BOOTSTRAP, generator=source)
+    rows = torch.cat((line.residual[None], _drawn_residuals(line, ratios, source)))
+    ranks = [b.directions.shape[1] for b in tested]
+    statistics = [(rows @ b.directions).square().sum(1) for b in tested]
+    scales = [(ratios[:_LAWS_DRAWN].square() @ b.directions.square()).mean(1) for b in tested]
+    if (
+        line.batch.noise_laws is None or not tested
+    ):  # noise that was inferred from these residuals cannot judge their sum of squares
+        names, sizes = [*names, EVERYTHING], [*sizes, math.nan]
+        ranks.append(int(line.batch.mask.sum()))  # as many as frames, since every fitted direction has a prior
+        statistics.append(rows.square().sum(1))
+        scales.append(torch.ones(1, dtype=torch.float64))
     logs = torch.stack([log_survival(s, k) for s, k in zip(statistics, ranks, strict=True)])
     smallest = logs.amin(0)
     count = int((smallest[1:] <= smallest[0]).sum())
-    bonferroni = min(1.0, len(ranks) * math.exp(float(smallest[0])))
+    over_noise = [_mean_log_survival(s[0], k, c) for s, k, c in zip(statistics, ranks, scales, strict=True)]
+    bonferroni = min(1.0, len(ranks) * math.exp(min(over_noise)))
     # p-values that the bootstrap cannot resolve: Bonferroni's bound
     p_value = (1 + count) / (1 + BOOTSTRAP) if count else min(bonferroni, 1.0 / (1 + BOOTSTRAP))
     threshold = float(smallest[1:].quantile(LEVEL).exp())
@@ -232,17 +245,10 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
             name,
             float(s[0]),
             k,
-            float(log[0].exp()),
+            math.exp(log),
             _power(size, k, threshold),
         )
-        for name, size, s, k, log in zip(
-            [*(b.name for b in tested), "everything (chi-square)"],
-            [*(b.size for b in tested), math.nan],
-            statistics,
-            ranks,
-            logs,
-            strict=True,
-        )
+        for name, size, s, k, log in zip(names, sizes, statistics, ranks, over_noise, strict=True)
     ]
     return GapTest(p_value, tuple(sorted(results, key=lambda r: r.p_value)), *_bias(line))
 
@@ -254,6 +260,30 @@ def log_survival(statistic: Float[Tensor, "*batch"], rank: int) -> Float[Tensor,
     x, a = 0.5 * statistic, 0.5 * rank
     far = (a - 1.0) * x.clamp_min(1e-300).log() - x - math.lgamma(a)
     return torch.where(tail > 1e-250, tail.clamp_min(1e-300).log(), far)
+
+
+def _drawn_residuals(line: Linearisation, ratios: Tensor, source: torch.Generator) -> Tensor:
+    """Residuals drawn under the fitted model, ``B x N``.
+
+    Where the noise was inferred from the residuals themselves, drawn ones get the mean square of those observed: under the model
+    that says nothing of their direction, so the test holds whatever the scale of the noise. A mean square that is larger than
+    the uncertainty of the scale allows is a misfit, and counts as no larger than that.
+    """
+    drawn = torch.randn(ratios.shape, generator=source, dtype=torch.float64)
+    laws = line.batch.noise_laws
+    rows = line.project(drawn * ratios)
+    if laws is None or not laws.of_residuals:
+        return rows
+    frames = float(line.batch.mask.sum())
+    largest = frames * math.exp(2.0 * _SURE * laws.log_scale_sd)
+    square = min(float(line.residual.square().sum()), largest)
+    return rows * (square / rows.square().sum(1, keepdim=True)).sqrt()
+
+
+def _mean_log_survival(statistic: Tensor, rank: int, scales: Tensor) -> float:
+    """Log of the upper tail of ``scale`` times chi-square, averaged over scales."""
+    logs = log_survival(statistic / scales, rank)
+    return float(logs.logsumexp(0)) - math.log(len(scales))
 
 
 def _power(size: float, rank: int, level: float) -> float:

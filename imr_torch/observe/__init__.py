@@ -10,11 +10,11 @@ from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
 from imr_torch.observe.load import SUFFIXES, find_files, load_traces
 from imr_torch.observe.medium import GelMedium, Statement, gel_medium
 from imr_torch.observe.noise import Noise
+from imr_torch.observe.noise_laws import NoiseLaws
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.plausibility import check_experiment, check_maximum
 from imr_torch.observe.prepare import Prepared, prepare
 from imr_torch.observe.readers import READERS, Reader, register_reader
-from imr_torch.observe.roughness import noise_of_traces
 from imr_torch.observe.scatter import Scatter
 from imr_torch.observe.sets import load_set
 from imr_torch.observe.sidecar import state
@@ -37,6 +37,7 @@ __all__ = [
     "Layout",
     "LeftOut",
     "Noise",
+    "NoiseLaws",
     "Nuisance",
     "Override",
     "Prepared",
@@ -56,7 +57,6 @@ __all__ = [
     "load_collapse_times",
     "load_set",
     "load_traces",
-    "noise_of_traces",
     "predict",
     "prepare",
     "register_reader",

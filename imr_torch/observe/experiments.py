@@ -19,6 +19,7 @@ from imr_torch.material import PARAMETERS
 from imr_torch.observe.collapse import CollapseTime, predict_collapse
 from imr_torch.observe.distortion import EXPOSURE_BLUR, Distortion
 from imr_torch.observe.noise import Noise, previous
+from imr_torch.observe.noise_laws import NoiseLaws
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced, impossible
 from imr_torch.observe.scatter import Scatter, with_own
 from imr_torch.simulate import EARLIEST, Simulator, check_designs
@@ -37,6 +38,8 @@ class Experiment:
         radius: R/Rmax; NaN where a repeat lacks a frame that another has.
         nuisance: what is uncertain about the design and the clock.
         exposure: known exposure of a frame over ``Rmax/U_c``, over which predictions are averaged; 0 for an instant.
+        noise_factor: noise of this experiment over the law of its batch.
+        noise_factor_sd: standard deviation of its logarithm.
 
     >>> import torch
     >>> from imr_torch.observe import Experiment
@@ -55,6 +58,8 @@ class Experiment:
     radius: Float[Tensor, "repeats frames"]
     nuisance: Nuisance = field(default_factory=Nuisance)
     exposure: float = 0.0
+    noise_factor: float = 1.0
+    noise_factor_sd: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("times", "radius"):
@@ -83,6 +88,10 @@ class Experiment:
         if not 0.0 <= self.exposure <= EXPOSURE_BLUR.upper:
             raise InputDataError(
                 f"Experiment {self.label!r}: exposure is {self.exposure:g} of Rmax/U_c; expected 0 to {EXPOSURE_BLUR.upper:g}."
+            )
+        if not 0.0 < self.noise_factor < math.inf:
+            raise InputDataError(
+                f"Experiment {self.label!r}: noise_factor is {self.noise_factor:g}; expected a factor above 0."
             )
         if bool((self.times[1:] <= self.times[:-1]).any()) or not bool(torch.isfinite(self.times).all()):
             raise InputDataError(f"Experiment {self.label!r}: times must be finite and increase.")
@@ -171,6 +180,7 @@ class ExperimentBatch:
         noise: the law of the observation noise of curves.
         between: parameter -> its scatter between experiments, each of which then has a value of its own: the deviations are
             nuisances, beside those of the experiments. All experiments have the same parameters where empty.
+        noise_laws: what is known of the law where it was inferred; None where it is taken as known.
 
     >>> import torch
     >>> from imr_torch.observe import Experiment, ExperimentBatch
@@ -184,6 +194,7 @@ class ExperimentBatch:
     experiments: tuple[Experiment | CollapseTime, ...]
     noise: Noise = field(default_factory=Noise)
     between: Mapping[str, Scatter] = field(default_factory=dict)
+    noise_laws: NoiseLaws | None = None
 
     def __post_init__(self) -> None:
         if not self.experiments:
@@ -230,6 +241,23 @@ class ExperimentBatch:
         return torch.tensor([e.exposure for e in self.experiments], dtype=torch.float64)
 
     @cached_property
+    def noise_factors(self) -> Float[Tensor, "experiments 1"]:
+        """``E x 1`` tensor: noise of each experiment over the law; 1 for collapse times."""
+        factors = [e.noise_factor if isinstance(e, Experiment) else 1.0 for e in self.experiments]
+        return torch.tensor(factors, dtype=torch.float64)[:, None]
+
+    def log_noise_ratios(
+        self, prediction: Float[Tensor, "experiments frames"], count: int, *, generator: torch.Generator
+    ) -> Float[Tensor, "draws experiments frames"]:
+        """Logarithms of noise drawn from what is known of it over that of :attr:`noise`; zeros where that is taken as known."""
+        if self.noise_laws is None:
+            return self.times.new_zeros(count, *self.times.shape)
+        logs = self.noise_laws.log_ratios(self.noise, prediction, self.times, count, generator=generator)
+        sds = [e.noise_factor_sd if isinstance(e, Experiment) else 0.0 for e in self.experiments]
+        own = torch.randn(count, len(sds), generator=generator, dtype=torch.float64) * torch.tensor(sds, dtype=torch.float64)
+        return torch.where(self.mask, logs + own[..., None], 0.0)
+
+    @cached_property
     def mask(self) -> Bool[Tensor, "experiments frames"]:
         """Frames that exist."""
         return self._padded([torch.ones_like(e.times, dtype=torch.bool) for e in self.experiments], False)
@@ -272,7 +300,7 @@ class ExperimentBatch:
 
     def sd(self, prediction: Float[Tensor, "*batch experiments frames"]) -> Float[Tensor, "*batch experiments frames"]:
         """Noise of one repeat at a prediction ``... x E x T``; 1 in the padding."""
-        sd = torch.where(self.mask, self.noise.sd(prediction, self.times), 1.0)
+        sd = torch.where(self.mask, self.noise.sd(prediction, self.times) * self.noise_factors, 1.0)
         return torch.where(self.collapse[:, None] & self.mask, self._own_sd, sd) if bool(self.collapse.any()) else sd
 
     def whiten(

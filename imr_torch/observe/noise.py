@@ -59,7 +59,12 @@ class Noise:
             f"correlated over {self.correlation_time:.3g} in t*" if self.correlation_time else "independent between frames"
         )
         own = self.scale / self.widened
-        law = f"{own:.2f} x the published law with {own * self.floor:.4f} in R* everywhere, {correlated}"
+        published = Noise()
+        if (self.slope, self.drift) == (published.slope, published.drift):
+            grows = f"{own:.2f} x the published law"
+        else:
+            grows = f"{own * self.slope:.2g} |R*-1| + {own * self.drift:.2g} t*"
+        law = f"{grows} with {own * self.floor:.4f} in R* everywhere, {correlated}"
         return law if self.widened == 1.0 else f"{law}, counted {self.widened:.1f} times as large"
 
     @property

@@ -11,6 +11,7 @@ from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence
 from imr_torch.gap.lookalike import Likeness, angles, likeness, look_alikes
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.material import LIBRARY, library
+from imr_torch.observe import Experiment, ExperimentBatch
 from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 
 SIZE = 40
@@ -21,7 +22,9 @@ def line(size: int = SIZE) -> Linearisation:
     """A fit of one parameter, which moves the last row alone, so that all others are free."""
     fitted = torch.zeros(size, 1, dtype=torch.float64)
     fitted[-1] = 1.0
-    return Linearisation(torch.zeros(size, dtype=torch.float64), fitted, *[None] * 3)  # type: ignore[arg-type]
+    blank = torch.ones(1, size - 1, dtype=torch.float64)
+    batch = ExperimentBatch((Experiment("blank", (400.0, 0.2), torch.arange(size - 1.0), blank),))
+    return Linearisation(torch.zeros(size, dtype=torch.float64), fitted, blank, blank, batch)
 
 
 def direction(degrees: float, *, length: float = 1.0, absorbed: float = 0.0) -> torch.Tensor:

@@ -5,8 +5,8 @@
 
 Files are those of characterize, one gel in all of them, or .npz sets of repeated designs (time_s: designs x frames; radius_m:
 designs x repeats x frames; we and rinf_star: designs, as measured). The noise of a set is the published law; that of single
-curves is taken from how rough they are. --effects and --without choose what may be the cause; by default every effect of the
-library may. No cause is named without converged fits, nor where no effect of the library is enough.
+curves is inferred from how their frames scatter. --effects and --without choose what may be the cause; by default every effect
+of the library may. No cause is named without converged fits, nor where no effect of the library is enough.
 """
 
 import argparse

@@ -1,0 +1,232 @@
+"""The noise of single frames: recovered beside a right model and beside a wrong one, and tests by it that keep their level."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from scipy.stats import kstest
+
+from imr_torch.assimilate import FrameNoisePrior, Posterior, infer_frame_noise
+from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.frame_noise import MATERN, matern_whitened, smooth_noise_gain, without_spikes
+from imr_torch.assimilate.posterior import Neighbourhood
+from imr_torch.gap import LIBRARY
+from imr_torch.gap.adequacy import adequacy_test
+from imr_torch.goodness.linear import linearise_at
+from imr_torch.goodness.score import LEVEL, block, gap_test
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, NoiseLaws, predict
+from imr_torch.random import generator
+from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, fit
+from tests.linear import LinearSimulator, tensor
+from tests.linear import prior as linear_prior
+
+
+def curves(
+    noise: Noise, effect: dict[str, float] | None = None, *, seed: int = 0, spacing: float = 0.04, factors=(1.0, 1.0, 1.0)
+) -> ExperimentBatch:
+    """Three single curves of a gel, perhaps with an effect, and their true noise by curve."""
+    source, experiments = generator(seed), []
+    times = torch.arange(0.0, 2.6, spacing, dtype=torch.float64)
+    for design, factor in zip(DESIGNS, factors, strict=True):
+        blank = Experiment(f"{design}", design, times, torch.ones(1, len(times), dtype=torch.float64))
+        truth = predict(SIMULATOR, PARAMETERS.pack(GEL | (effect or {}))[None], ExperimentBatch((blank,)))[0, 0]
+        own = replace(noise, scale=noise.scale * factor)
+        experiments.append(replace(blank, radius=own.draw(truth, times, 1, generator=source)))
+    return ExperimentBatch(tuple(experiments))
+
+
+def near(batch: ExperimentBatch) -> Neighbourhood:
+    """About the base model's fit."""
+    return Posterior(BASE, batch, SIMULATOR).neighbourhood(fit(batch).point)
+
+
+def over_truth(batch: ExperimentBatch, noise: Noise) -> float:
+    """The inferred noise over the true one, geometric mean over frames, about the base model's fit."""
+    place = near(batch)
+    found = infer_frame_noise(place).law
+    ratio = (found.sd(place.centre, batch.times) / noise.sd(place.centre, batch.times))[batch.mask]
+    return float(ratio.log().mean().exp())
+
+
+def smooth(size: float, times: torch.Tensor, source: torch.Generator, lag: float = 0.25) -> torch.Tensor:
+    """A deviation whose correlation falls to 1/e over a lag."""
+    covariance = torch.exp(-0.5 * ((times[:, None] - times) / (lag / math.sqrt(2.0))).square())
+    root = torch.linalg.cholesky(covariance + 1e-8 * torch.eye(len(times)))
+    return size * root @ torch.randn(len(times), generator=source, dtype=torch.float64)
+
+
+def with_slow_noise(batch: ExperimentBatch, size: float, seed: int = 5) -> ExperimentBatch:
+    source = generator(seed)
+    moved = tuple(replace(e, radius=e.radius + smooth(size, e.times, source)) for e in batch.curves)
+    return replace(batch, experiments=moved)
+
+
+def test_that_columns_are_whitened_as_by_dense_algebra():
+    source = generator(0)
+    times = torch.rand(2, 12, generator=source, dtype=torch.float64).cumsum(1)
+    mask = torch.ones(2, 12, dtype=torch.bool)
+    mask[1, 9:] = False
+    noise = 0.1 + torch.rand(1, 2, 12, generator=source, dtype=torch.float64)
+    columns = torch.randn(3, 2, 12, generator=source, dtype=torch.float64)
+    variance, rate = tensor(0.7), tensor(2.3)
+    seen, log_det = matern_whitened(times, mask, noise, variance, rate, columns)
+    for row in range(2):
+        used = mask[row]
+        lag = rate * (times[row, used][:, None] - times[row, used]).abs()
+        covariance = variance * (1.0 + lag) * torch.exp(-lag) + torch.diag(noise[0, row, used])
+        root = torch.linalg.cholesky(covariance)
+        expected = torch.linalg.solve_triangular(root, columns[:, row, used].mT, upper=False).mT
+        torch.testing.assert_close(seen[0, :, row, used], expected)
+        torch.testing.assert_close(log_det[0, row], root.diagonal().log().sum())
+        assert float(seen[0, :, row, ~used].abs().sum()) == 0.0
+
+
+def test_that_a_lag_is_where_the_correlation_has_fallen_to_one_over_e():
+    assert (1.0 + MATERN) * math.exp(-MATERN) == pytest.approx(math.exp(-1.0), abs=1e-4)
+
+
+LAWS = {
+    "published": Noise(),
+    "small and constant": Noise(scale=0.3, floor=0.01),
+    "large": Noise(scale=2.5),
+    "another proportion": Noise(slope=0.04, drift=0.0),
+}
+
+
+@pytest.mark.parametrize("noise", LAWS.values(), ids=LAWS)
+@pytest.mark.parametrize("effect", [{}, {"wall": 0.2}, {"clock": 0.04}], ids=["right", "wall", "clock"])
+def test_that_the_law_is_recovered_beside_a_right_model_and_beside_a_wrong_one(noise, effect):
+    assert over_truth(curves(noise, effect, seed=3), noise) == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize(("spacing", "largest"), [(0.012, 1.2), (0.1, 1.5)])
+def test_that_the_law_is_recovered_at_other_frame_rates(spacing, largest):
+    """Where there are few frames a large misfit is as rough as noise, and counts as noise in part."""
+    assert over_truth(curves(Noise(), spacing=spacing, seed=1), Noise()) == pytest.approx(1.0, abs=0.2)
+    assert 0.8 < over_truth(curves(Noise(), {"wall": 0.2}, spacing=spacing, seed=1), Noise()) < largest
+
+
+def test_that_slow_noise_is_not_taken_for_that_of_single_frames():
+    batch = with_slow_noise(curves(Noise()), 0.015)
+    assert over_truth(batch, Noise()) == pytest.approx(1.0, abs=0.2)
+
+
+def test_that_what_is_known_of_the_scale_is_what_repeated_inference_scatters_by():
+    found = [infer_frame_noise(near(curves(Noise(), seed=seed))) for seed in range(12)]
+    logs = torch.tensor([one.law.sd(tensor(0.5), tensor(1.5)) for one in found], dtype=torch.float64).log()
+    stated = torch.tensor([one.laws.log_scale_sd for one in found]).mean()
+    assert 0.5 < float(logs.std() / stated) < 1.8
+    low, middle, high = found[0].laws.intervals()["scale"]
+    assert low < middle < high
+
+
+def test_that_one_noisy_curve_has_a_factor_of_its_own_and_even_curves_have_none():
+    found = infer_frame_noise(near(curves(Noise(), factors=(1.0, 3.0, 1.0))))
+    assert found.factors[1] == pytest.approx(3.0, rel=0.3)
+    assert (found.factors[0], found.factors[2], found.factor_sds[0]) == (1.0, 1.0, 0.0)
+    assert found.factor_sds[1] > 0.0
+    even = [infer_frame_noise(near(curves(Noise(), seed=seed))).factors for seed in range(6)]
+    assert even == [(1.0, 1.0, 1.0)] * 6
+
+
+def test_that_a_batch_with_the_noise_holds_factors_and_laws():
+    batch = curves(Noise(), factors=(1.0, 3.0, 1.0))
+    found = infer_frame_noise(near(batch))
+    made = found.applied(batch)
+    assert [e.noise_factor for e in made.curves] == list(found.factors)
+    radius = torch.full_like(made.times, 0.5)
+    torch.testing.assert_close(made.sd(radius)[1] / made.sd(radius)[0], torch.full_like(radius[0], found.factors[1]))
+    one = NoiseLaws((made.noise,), tensor(1.0), tensor(0.07))
+    logs = replace(made, noise_laws=one).log_noise_ratios(radius, 4000, generator=generator(0))
+    assert float(logs[:, 0, 10].std()) == pytest.approx(0.07, rel=0.1)
+    assert float((logs[:, 1, 10] - logs[:, 0, 10]).std()) == pytest.approx(found.factor_sds[1], rel=0.1)
+    assert float(replace(made, noise_laws=None).log_noise_ratios(radius, 3, generator=generator(0)).abs().sum()) == 0.0
+
+
+def test_that_slow_noise_gains_evidence_where_it_is_and_loses_some_where_it_is_not():
+    quiet = curves(Noise())
+    loud = with_slow_noise(quiet, 0.015)
+    gains = []
+    for batch in (quiet, loud):
+        place = near(batch)
+        known = infer_frame_noise(place).applied(batch)
+        gains.append(smooth_noise_gain(Posterior(BASE, known, SIMULATOR).neighbourhood(place.point)))
+    assert gains[0] < 0.0
+    assert gains[1] > 10.0
+
+
+def test_that_spoilt_frames_are_left_out_and_no_others():
+    batch = curves(Noise())
+    first = batch.curves[0].radius.clone()
+    first[0, [12, 34]] += tensor(0.15, -0.3)
+    spoilt = replace(batch, experiments=(replace(batch.curves[0], radius=first), *batch.curves[1:]))
+    kept = without_spikes(near(spoilt))
+    assert torch.nonzero(~kept).tolist() == [[0, 12], [0, 34]]
+    assert bool(without_spikes(near(batch)).all())
+    assert bool(
+        without_spikes(near(curves(Noise(scale=0.2), {"clock": 0.04}))).all()
+    )  # collapses at the wrong time are no spikes
+
+
+def test_that_repeats_decide_where_there_are_some():
+    source, times = generator(2), torch.arange(0.0, 2.6, 0.04, dtype=torch.float64)
+    noise, shots = Noise(scale=1.5, correlation_time=0.1), []
+    for design in DESIGNS:
+        blank = Experiment(f"{design}", design, times, torch.ones(1, len(times), dtype=torch.float64))
+        truth = predict(SIMULATOR, PARAMETERS.pack(GEL | {"wall": 0.2})[None], ExperimentBatch((blank,)))[0, 0]
+        shots.append(replace(blank, radius=noise.draw(truth, times, 10, generator=source)))
+    found = infer_frame_noise(near(ExperimentBatch(tuple(shots))))
+    assert found.law.scale == pytest.approx(1.5, rel=0.1)
+    assert found.law.correlation_time == pytest.approx(0.1, rel=0.25)
+    assert not found.laws.of_residuals
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_that_pixel_noise_at_several_frame_rates_makes_no_gap_and_a_wall_does(seed):
+    """As a camera of one frame rate films bubbles of several sizes: no law of sizes and times."""
+
+    def p_value(effect: dict[str, float]) -> float:
+        source, experiments = generator(seed), []
+        for spacing, design in zip((0.04, 0.03, 0.02), DESIGNS, strict=True):
+            times = torch.arange(0.0, 2.6, spacing, dtype=torch.float64)
+            blank = Experiment(f"{spacing}", design, times, torch.ones(1, len(times), dtype=torch.float64))
+            truth = predict(SIMULATOR, PARAMETERS.pack(GEL | effect)[None], ExperimentBatch((blank,)))[0]
+            pixels = 0.004 * torch.randn(truth.shape, generator=source, dtype=torch.float64)
+            experiments.append(replace(blank, radius=truth + pixels))
+        batch = ExperimentBatch(tuple(experiments))
+        batch = infer_frame_noise(near(batch)).applied(batch)
+        return adequacy_test(fit(batch), (LIBRARY["wall"],), batch, SIMULATOR, seed=0).test.p_value
+
+    assert p_value({}) > LEVEL
+    assert p_value({"wall": 0.2}) < 1e-3
+
+
+def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found():
+    """A linear model whose fit is exact, noise of another size and proportion, blocks of random directions."""
+    simulator, part = LinearSimulator(), linear_prior(("nhkv",)).models[0]
+    times, few = torch.linspace(0.05, 2.5, 40, dtype=torch.float64), FrameNoisePrior(bends=(0.2,), amounts=(1.0, 4.0))
+    noise, source = Noise(scale=1.7, floor=0.004), generator(0)
+    gel = part.parameters(torch.zeros(2, dtype=torch.float64))
+    clean = [simulator(gel, tensor(400.0 + 200.0 * k, 0.2), times).radius for k in range(3)]
+    shapes = torch.stack([torch.sin(0.4 * k * times + k) for k in range(24)])
+
+    def p_value(lean: float) -> float:
+        rows = [noise.draw(c, times, 1, generator=source) + lean * noise.sd(c, times) * shapes[5] for c in clean]
+        shots = tuple(Experiment(f"{k}", (400.0 + 200.0 * k, 0.2), times, row) for k, row in enumerate(rows))
+        batch = ExperimentBatch(shots)
+        point = Point(torch.zeros(2, dtype=torch.float64), torch.zeros(3, 3, dtype=torch.float64))
+        for _ in range(2):  # the optimum of a linear model, under the noise inferred about it
+            line = linearise_at(point, part, batch, simulator)
+            point = Point(point.gel + (line.to_shift @ line.residual)[:2], point.nuisances)
+            batch = infer_frame_noise(Posterior(part, batch, simulator).neighbourhood(point), few).applied(batch)
+        line = linearise_at(point, part, batch, simulator)
+        line = replace(line, residual=line.project(line.residual))
+        blocks = [block(f"{k}", line.whiten(shapes[k : k + 1, None].expand(1, 3, -1)), line) for k in range(24)]
+        return gap_test(blocks, line, seed=0).p_value
+
+    p_values = [p_value(0.0) for _ in range(120)]
+    assert kstest(p_values, "uniform").pvalue > 0.01
+    assert sum(p < 0.05 for p in p_values) / len(p_values) < 0.11
+    assert sum(p_value(0.8) < 0.01 for _ in range(10)) >= 9
