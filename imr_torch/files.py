@@ -5,7 +5,7 @@ import math
 import os
 import secrets
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
@@ -137,6 +137,28 @@ def write_json(path: str | Path, document: Any) -> None:
     """
     text = json.dumps(document, indent=1, allow_nan=False) + "\n"
     write_atomically(Path(path), lambda stream: stream.write(text.encode()))
+
+
+def without_nonfinite(document: Any) -> tuple[Any, list[str]]:
+    """A document with None for every number that is not finite, and the places of these.
+
+    >>> from imr_torch.files import without_nonfinite
+    >>> without_nonfinite({"G": 5000.0, "closed": [0.5, float("nan")]})
+    ({'G': 5000.0, 'closed': [0.5, None]}, ['closed.1'])
+    """
+    places: list[str] = []
+
+    def finite(value: Any, place: tuple[str, ...]) -> Any:
+        if isinstance(value, Mapping):
+            return {name: finite(own, (*place, str(name))) for name, own in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [finite(own, (*place, str(number))) for number, own in enumerate(value)]
+        if isinstance(value, float) and not math.isfinite(value):
+            places.append(".".join(place))
+            return None
+        return value
+
+    return finite(document, ()), places
 
 
 def drawn_numbers(values: Any) -> list[float | None]:

@@ -56,11 +56,12 @@ def tables() -> Iterator[Case]:
     allowed = {"old Mac lines with blanks", "latin-1"}
     for name, content in texts.items():
         yield case(name, table(content), damaged=name in allowed)
-    values = ("nan?", "1e", "1,5", "0x1F", "1e400", "-1e400", "inf", "-inf", "-2e-4", "None", "#REF!", "=1+1", "1_0e-5", "٣")
+    values = ("nan?", "1e", "1,5", "0x1F", "1e400", "-1e400", "inf", "-inf", "None", "#REF!", "=1+1", "1_0e-5", "٣")
     for value in values:
         yield case(f"radius {value}", cell(10, 2, value))
     for value in ("inf", "-1", "1e400", "12:00", "2026-01-01", "0x10", "1e-6s"):
         yield case(f"time {value}", cell(10, 1, value))
+    yield case("a single negative radius", cell(10, 2, "-2e-4"), warned="row(s) 11")
     yield case("a time missing", cell(10, 1, "nan"), warned="row(s) 11")
     yield case("a time empty", cell(10, 1, ""), warned="row(s) 11")
     for value in ("", " ", "\t"):

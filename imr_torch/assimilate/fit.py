@@ -65,6 +65,11 @@ class Certificate:
         """Whether gradient and agreement are below 0.1: the cost can then fall by about a hundredth of a nat."""
         return self.gradient < NEARLY and self.agreement < NEARLY
 
+    @property
+    def usable(self) -> bool:
+        """Whether it has converged or nearly so: no conclusion would change by the hundredth of a nat that is left."""
+        return self.converged or self.nearly_converged
+
     def __str__(self) -> str:
         word = "converged" if self.converged else "NOT CONVERGED"
         return (

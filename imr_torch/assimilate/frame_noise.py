@@ -14,7 +14,7 @@ the others gets a factor of its own. Gaussian processes by their state space: Ha
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -265,35 +265,6 @@ class _Grid:
         shift = float((share @ logs - logs[best]).mean())
         law = replace(chosen[best], scale=chosen[best].scale * math.exp(shift))
         return FrameNoise(law, laws_known, tuple(factors.tolist()), tuple(factor_sds.tolist()), smooth)
-
-
-def smooth_noise_gain(
-    near: Neighbourhood,
-    *,
-    amounts: Sequence[float] = (0.001, 0.002, 0.004, 0.008, 0.016),
-    durations: Sequence[float] = (0.14, 0.24, 0.4),
-) -> float:
-    """Log evidence, nats, for noise of the camera that lasts several frames, beside that of its batch: over none.
-
-    Such noise is a smooth random deviation of each curve. Repeats of public records differ by deviations that last .14 to .4 in
-    t*, where they do; all amounts and durations are equally probable before the data.
-
-    Args:
-        near: a fitted point with its local sensitivities, about which gel and nuisances are integrated out.
-        amounts: standard deviations, R*.
-        durations: lags at which the correlation has fallen to 1/e, t*.
-    """
-    batch = near.posterior.batch
-    noise = batch.sd(near.centre).square()
-    values = torch.tensor([(0.0, 1.0), *product(amounts, durations)], dtype=torch.float64)
-
-    def whitened(some: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
-        white = noise.expand(len(some), -1, -1)
-        return matern_whitened(batch.times, batch.mask, white, some[:, 0].square(), MATERN / some[:, 1], columns)
-
-    local = _local(near, batch.mask, whitened, values)
-    value = local.marginal(torch.zeros(len(values), 1, dtype=torch.float64))[:, 0]
-    return float(value[1:].logsumexp(0) - math.log(len(values) - 1) - value[0])
 
 
 def _local(

@@ -16,7 +16,7 @@ from imr_torch.characterization import medium_of
 from imr_torch.cli.options.names import DEFAULT_MODELS
 from imr_torch.cli.progress import Stage, Terminal
 from imr_torch.errors import InputDataError
-from imr_torch.files import write_json
+from imr_torch.files import without_nonfinite, write_json
 from imr_torch.material import PARAMETERS, Belief, reference_case, wide_prior
 from imr_torch.observe import CollapseShot, GelMedium, Layout, Statement, TraceSet
 from imr_torch.results import header
@@ -192,8 +192,13 @@ def header_of(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def write_result(args: argparse.Namespace, document: dict[str, Any]) -> None:
-    """Write ``document`` with its header to ``--json`` and into ``--out``, where given."""
-    document = header_of(args) | document
+    """Write ``document`` with its header to ``--json`` and into ``--out``, where given.
+
+    A number that is not finite is written as null, and its place is said: what was computed is not lost for it.
+    """
+    document, places = without_nonfinite(header_of(args) | document)
+    if places:
+        document["not_finite"] = places
     targets = [Path(args.json)] if args.json else []
     if getattr(args, "out", None):
         targets.append(Path(args.out) / f"{args.command}.json")

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import torch
 
 from imr_torch.assimilate import ModelFit, Posterior, SearchOptions
-from imr_torch.assimilate.frame_noise import smooth_noise_gain
+from imr_torch.assimilate.slow_noise import SmoothDeviations, smooth_deviations
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.evidence import CheckedEvidence, check_evidence, rescaled_evidence
 from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence, promised
@@ -31,6 +31,7 @@ from imr_torch.types import Progress
 SCALES = (0.5, 2.0)
 """Factors on the prior scales of all amplitudes under which the leader's probability is computed again."""
 _SCALES_OF_NOISE = 9  # over which probabilities are averaged where the noise was inferred
+_MOST_LEFT_OUT = 3  # hypotheses whose fits do not converge, before the best of the others is taken as it is
 _LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
 _WIDE = 45.0  # degrees from which on two effects are not called alike, however small
 _NEGLIGIBLE = 20.0  # nats behind the best at which another prior scale does not matter
@@ -60,6 +61,7 @@ class Attribution:
             sd, nearest first.
         checked: hypothesis -> its evidence by importance sampling, of those near the best.
         rescaled: factor on the prior scales of all amplitudes -> probability of the winner.
+        left_out: hypotheses ahead of the winner whose fits did not converge, which therefore have no probability.
     """
 
     fits: dict[str, ModelFit]
@@ -75,6 +77,7 @@ class Attribution:
     alike: dict[str, tuple[float, float]] = field(default_factory=dict)
     checked: dict[str, CheckedEvidence] = field(default_factory=dict)
     rescaled: dict[float, float] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
     def credible_set(self, level: float = 0.95) -> tuple[str, ...]:
         """The most probable entries of the posterior that together reach a level."""
@@ -237,21 +240,18 @@ def _concluded(
     """Fits with what their evidence and the winner's adequacy say."""
     inquiry = problem.inquiry
     batch, simulator = inquiry.batch, inquiry.simulator
-    winner = _winner(problem, evidence)
-    if not fits[winner].certificate.converged:
-        fits[winner] = finish(fits[winner], batch, simulator, seed=child(seed, "finish"), progress=progress)
-        evidence[winner] = laplace_evidence(fits[winner])
+    winner, left_out = _converged_winner(problem, fits, evidence, seed=seed, progress=progress)
     checked = check_evidence(fits, evidence, batch, simulator, seed=child(seed, "evidence"))
     if checked and all(found.reliable for found in checked.values()):
         evidence |= {name: found.sampled for name, found in checked.items()}
-        winner = _winner(problem, evidence)
-        if not fits[winner].certificate.converged:
-            fits[winner] = finish(fits[winner], batch, simulator, seed=child(seed, "ahead"), progress=progress)
+        winner, others = _converged_winner(problem, fits, evidence, seed=child(seed, "ahead"), progress=progress)
+        left_out += others
     left = adequacy_test(fits[winner], inquiry.effects, batch, simulator, seed=child(seed, "adequacy"))
     size = math.sqrt(max(2.0 * (problem.null.cost - fits[winner].cost), 0.0))
     like = problem.before.likeness(size, seed=seed)
     factor, masked = like.bayes_factor(left.test.p_value), problem.masked
-    believed = _Believed(problem, fits, factor, masked, _slow_noise(problem, evidence))
+    smooth = _smooth_deviations(problem)
+    believed = _Believed(problem, fits, factor, masked, smooth)
     at_odds = {odds: believed.posterior(evidence, odds) for odds in ODDS}
     posterior = at_odds[VERDICT_ODDS]
     effect = next(e for e in problem.effects if e.name == winner.split("+")[-1])
@@ -269,16 +269,16 @@ def _concluded(
         alike=_alike(problem, fits, winner, effect, size),
         checked=checked,
         rescaled={scale: _rescaled(believed, evidence, scale)[winner] for scale in SCALES},
+        left_out=left_out,
     )
 
 
-def _slow_noise(problem: _Problem, evidence: Mapping[str, float]) -> float | None:
-    """Log evidence for noise that lasts several frames beside what is held; None where the noise is known."""
+def _smooth_deviations(problem: _Problem) -> SmoothDeviations | None:
+    """Evidence for smooth deviations of the curves beside what is held; None where the noise is known, slow noise included."""
     batch = problem.inquiry.batch
-    if batch.noise_laws is None:
+    if batch.noise_laws is None or not batch.noise_laws.of_residuals:
         return None
-    near = Posterior(problem.null.prior, batch, problem.inquiry.simulator).neighbourhood(problem.null.point)
-    return evidence[problem.null_name] + smooth_noise_gain(near)
+    return smooth_deviations(Posterior(problem.null.prior, batch, problem.inquiry.simulator).neighbourhood(problem.null.point))
 
 
 @dataclass(frozen=True)
@@ -289,7 +289,7 @@ class _Believed:
     fits: Mapping[str, ModelFit]
     bayes_factor: float
     masked: float
-    slow_noise: float | None
+    smooth: SmoothDeviations | None
 
     def posterior(self, evidence: Mapping[str, float], odds: float = VERDICT_ODDS) -> dict[str, float]:
         """Probabilities of all causes, averaged over what is known of the scale of the noise."""
@@ -299,15 +299,22 @@ class _Believed:
         each = []
         for log_scale in log_scales:
             share = 0.5 * (1.0 - math.exp(-2.0 * log_scale))  # nats that a larger noise gives back of each squared residual
-            slow = None if self.slow_noise is None else self.slow_noise + share * min(squares.values())
             scaled = {name: value + share * squares[name] for name, value in evidence.items()}
-            each.append(self._at(scaled, odds, slow))
+            smallest = share * min(squares.values()) - share * squares[self.problem.null_name]
+            each.append(self._at(scaled, odds, smallest))
         return {name: sum(one[name] for one in each) / len(each) for name in each[0]}
 
-    def _at(self, evidence: Mapping[str, float], odds: float, slow_noise: float | None) -> dict[str, float]:
-        effects, with_ = self.problem.effects, self.problem.with_
-        factor, masked = self.bayes_factor, self.masked
-        return probabilities(evidence, effects, with_, factor, odds=odds, masked=masked, slow_noise=slow_noise)
+    def _at(self, evidence: Mapping[str, float], odds: float, of_scale: float) -> dict[str, float]:
+        smooth, base = self.smooth, evidence[self.problem.null_name] + of_scale
+        return probabilities(
+            evidence,
+            self.problem.effects,
+            self.problem.with_,
+            self.bayes_factor,
+            odds=odds,
+            masked=self.masked,
+            smooth=None if smooth is None else (base + smooth.own, base + smooth.common),
+        )
 
     def _square(self, fit: ModelFit) -> float:
         """Whitened squared residual of a fit."""
@@ -328,6 +335,30 @@ def _alike(
         if other.name != effect.name and behind < min(LIKE, size, found.get(other.name, (0.0, math.inf))[1]):
             found[other.name] = math.degrees(math.asin(behind / size)), behind
     return dict(sorted(((name, pair) for name, pair in found.items() if pair[0] < _WIDE), key=lambda item: item[1][1]))
+
+
+def _converged_winner(
+    problem: _Problem, fits: dict[str, ModelFit], evidence: dict[str, float], *, seed: int, progress: Progress | None
+) -> tuple[str, tuple[str, ...]]:
+    """The best hypothesis whose fit converges, and those before it whose fits do not, which lose their evidence.
+
+    Fits are continued where they have not converged; ``fits`` and ``evidence`` are brought up to date.
+    """
+    batch, simulator = problem.inquiry.batch, problem.inquiry.simulator
+    left_out: list[str] = []
+    while True:
+        winner = _winner(problem, evidence)
+        if fits[winner].certificate.converged:
+            break
+        finished = finish(fits[winner], batch, simulator, seed=child(seed, "finish"), progress=progress)
+        fits[winner], evidence[winner] = finished, laplace_evidence(finished)
+        if winner != _winner(problem, evidence):
+            continue
+        if finished.certificate.usable or len(evidence) == 2 or len(left_out) == _MOST_LEFT_OUT:
+            break
+        left_out.append(winner)
+        del evidence[winner]
+    return winner, tuple(left_out)
 
 
 def _winner(problem: _Problem, evidence: Mapping[str, float]) -> str:

@@ -82,7 +82,7 @@ class GapReport:
     @property
     def found(self) -> bool:
         """Whether there is a gap: the test at a converged fit rejects, and the evidence of causes agrees."""
-        return self.gap.found and self.null.certificate.converged and self.verdict != "none"
+        return self.gap.found and self.null.certificate.usable and self.verdict != "none"
 
     @property
     def fits(self) -> dict[str, ModelFit]:
@@ -95,9 +95,9 @@ class GapReport:
     @property
     def converged(self) -> bool:
         """Whether the fits that the verdict is based on have converged."""
-        sound = self.null.certificate.converged
+        sound = self.null.certificate.usable
         if self.attribution is not None:
-            sound &= self.attribution.fits[self.attribution.winner].certificate.converged
+            sound &= self.attribution.fits[self.attribution.winner].certificate.usable
         return sound
 
 
@@ -159,7 +159,7 @@ def diagnose(
     if progress:
         progress(f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}")
 
-    if not null.certificate.converged:
+    if not null.certificate.usable:
         found = _Finding("undecided", (), f"The base model's fit did not converge: {null.certificate}.")
     elif not gap.found:
         found = _Finding("none", (), "No block of the gap test rejects the base model.")
@@ -301,8 +301,8 @@ def _slow_noise(found: Attribution, first: Attribution, choice: Choice, held: Se
     beside = f"Beside {' and '.join(effect.name for effect in held)}, the" if held else "The"
     slow = found.posterior[SLOW_NOISE]
     reason = (
-        f"{beside} curves differ from the model by slow noise of the camera (probability {slow:.2f}) or by an unknown effect that "
-        "looks like it: repeat a shot. Noise will differ from shot to shot, an effect will not."
+        f"{beside} curves differ from the model by slow noise of the camera (probability {slow:.2f}) or by an unknown effect "
+        "that looks like it: repeat a shot. Noise will differ from shot to shot, an effect will not."
     )
     return _Finding(OTHER, (), reason, first, found.adequacy.p_value, choice)
 
@@ -321,8 +321,11 @@ def _name(held: Sequence[Effect], found: Attribution, choice: Choice) -> _Findin
     before, adequacy = tuple(effect.name for effect in held), found.adequacy.p_value
     causes = (*before, *(name.split("+")[-1] for name in choice.causes))
     finding = _Finding("undecided", causes, "", found, adequacy, choice)
-    if not found.fits[found.winner].certificate.converged:
-        return replace(finding, reason="The leading effect's fit did not converge.")
+    if not found.fits[found.winner].certificate.usable:
+        return replace(finding, reason="No fit with an effect converged.")
+    if found.left_out:
+        ahead = ", ".join(name.split("+")[-1] for name in found.left_out)
+        return replace(finding, reason=f"The fit with {ahead} did not converge and was left out; it may explain more.")
     if NONE in choice.members:
         without = f"{' and '.join(before)} alone" if before else "The base model alone"
         reason = f"{without} keeps a probability of {choice.members[NONE]:.2f}: too much to name a cause."

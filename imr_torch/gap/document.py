@@ -83,7 +83,7 @@ def to_json(report: GapReport, parts: Parts | None = None, *, simulator: Simulat
         "tests": [vars(b) | {"power": None if math.isnan(b.power) else b.power} for b in report.gap.blocks],
         "curves": curves_of(report, parts, simulator),
         "noise": vars(report.batch.noise),
-        "noise_intervals": None if report.batch.noise_laws is None else report.batch.noise_laws.intervals(),
+        "noise_interval": report.batch.noise_interval(report.null.prediction),
         "noise_factors": {e.label: e.noise_factor for e in report.batch.curves},
         "frames_left_out": dict(report.spoilt),
         "headline": headline(report),

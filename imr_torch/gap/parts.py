@@ -170,11 +170,14 @@ def closed_by(
     own, base = child(seed, "shrinkage"), report.null.prior
     differing = {step.name: scatters(base, step.fit.prior) for step in selection.judged if GEL_SCATTER in step.effects}
     held = hold_out(fits, report.batch, simulator, seed=own, unseen=apart, between=differing, progress=progress)
+    held = {name: designs for name, designs in held.items() if all(design.predicted for design in designs)}
+    if "none" not in held:
+        return selection, None
     selection = with_held_out(selection, held, seed=own)
-    if len(names) == 1:
+    if len(names) == 1 or names[1] not in held:
         return selection, None
     assert found is not None
-    other = _hypothesis(report, rival) if rival else None
+    other = _hypothesis(report, rival) if rival in held else None
     return selection, judge(_hypothesis(report, found.winner), other, fits, held, seed=own)
 
 
@@ -202,7 +205,7 @@ def _best_rival(report: GapReport, found: Attribution) -> str | None:
     last, own = found.winner.count("+"), {LIBRARY[name].family for name in report.cause}
     others = [
         name
-        for name in found.fits
+        for name in found.log_evidence
         if name != "none" and name.count("+") == last and LIBRARY[name.split("+")[-1]].family not in own
     ]
     return max(others, key=found.log_evidence.__getitem__, default=None)

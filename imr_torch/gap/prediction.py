@@ -59,6 +59,11 @@ class HeldOut:
     by_training: Float[Tensor, "frames _"]
     phase: Int[Tensor, "frames"] | None = None
 
+    @property
+    def predicted(self) -> bool:
+        """Whether the design could be simulated by the training fit."""
+        return bool(torch.isfinite(self.residual).all() and torch.isfinite(self.log_density).all())
+
 
 def hold_out(
     fits: Mapping[str, ModelFit],

@@ -103,7 +103,7 @@ def next_step(report: GapReport, parts: Parts | None = None) -> str:
     """What to do next, in one sentence."""
     parts = parts or Parts()
     named = " and ".join(report.cause)
-    if not report.null.certificate.converged:
+    if not report.null.certificate.usable:
         return "Run it again with another --seed, or with more frames: no verdict is given on a fit that did not converge."
     if report.verdict == "none":
         return (
@@ -166,7 +166,7 @@ def _share_of(report: GapReport, name: str) -> str:
 
 def _gap(report: GapReport) -> tuple[str, ...]:
     test = report.gap
-    if not report.null.certificate.converged:
+    if not report.null.certificate.usable:
         return ("No verdict: the base model's fit did not converge, and an unconverged fit looks exactly like a gap.",)
     found = "Yes" if report.found else "By the test, but not by the evidence" if test.found else "None found"
     lines = [
@@ -196,11 +196,10 @@ def _noise(report: GapReport) -> tuple[str, ...]:
     batch = report.batch
     if batch.noise_laws is None:
         return ()
-    sd = float(batch.sd(report.null.prediction)[batch.mask].median())
-    low, _, high = batch.noise_laws.intervals()["scale"]
+    low, middle, high = batch.noise_interval(report.null.prediction)
     lines = [
-        f"Noise of single frames, inferred from the curves: {sd:.4f} in R* in the median frame (90 %: "
-        f"{low / batch.noise.scale:.2f} to {high / batch.noise.scale:.2f} times that); {batch.noise}."
+        f"Noise of single frames, inferred from the curves: {middle:.4f} in R* in the median frame (90 %: {low:.4f} to "
+        f"{high:.4f}); {batch.noise}."
     ]
     own = {e.label: e.noise_factor for e in batch.curves if e.noise_factor != 1.0}
     lines += [f"The noise of {label} is {factor:.2f} times that of the other curves." for label, factor in own.items()]
@@ -268,7 +267,7 @@ def _where(report: GapReport, parts: Parts) -> tuple[str, ...]:
 
 
 def _unlocated(report: GapReport) -> str:
-    if not report.null.certificate.converged:
+    if not report.null.certificate.usable:
         return "Not tested, because the base model's fit did not converge."
     return "Not run." if report.found else "Not tested, because no gap was found."
 

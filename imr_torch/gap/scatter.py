@@ -123,7 +123,7 @@ def gel_scatter(report: GapReport, simulator: Simulator, *, scale: float = SCALE
     """
     batch, names = report.batch, report.null.prior.of_gel
     repeated = any(experiment.repeats > 1 for experiment in batch.experiments)
-    if len(batch.experiments) < 2 or repeated or len(names) > MOST or not report.null.certificate.converged:
+    if len(batch.experiments) < 2 or repeated or len(names) > MOST or not report.null.certificate.usable:
         return None
     found, base = report.attribution, laplace_evidence(report.null)
     tried = {GEL_SCATTER: report.null}

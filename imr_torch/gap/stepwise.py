@@ -289,13 +289,16 @@ def with_held_out(selection: StepwiseSelection, held: Mapping[str, Sequence[Held
 
     Args:
         selection: judged in sample only.
-        held: name of each step -> held-out predictions (:func:`imr_torch.gap.shrinkage.hold_out`).
+        held: name of each step -> held-out predictions (:func:`imr_torch.gap.prediction.hold_out`); a step that it does not
+            name is not judged.
         seed: of the bootstrap.
     """
-    own = {step.name: held[step.name] for step in selection.judged}
+    own = {step.name: held[step.name] for step in selection.judged if step.name in held}
     _, closed = reductions(own, seed)
 
     def judged(step: SelectionStep) -> SelectionStep:
+        if step.name not in own:
+            return step
         score = compare(own, step.name, "none")
         trained = all(design.converged for name in ("none", step.name) for design in own[name])
         said = (score.difference, score.standard_error)

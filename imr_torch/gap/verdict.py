@@ -3,9 +3,9 @@
 An unknown effect has prior odds against the known ones, and the Bayes factor of how much the best of them leaves unexplained
 (:mod:`imr_torch.gap.lookalike`); so the probability of "other" and the adequacy of the leading effect are one thing. Where the
 noise is inferred from single curves, noise of the camera that lasts several frames is a cause of its own; an unknown effect may
-look exactly like it, and is as probable as it is. The verdict names the set of causes of least expected loss: a truth outside
-the set costs 1, every further member .1, and to stay undecided .35. So a cause is a member where its probability exceeds .1,
-and an unknown effect is one like any other.
+look like it, but moves all shots alike (:mod:`imr_torch.assimilate.slow_noise`). The verdict names the set of causes of least
+expected loss: a truth outside the set costs 1, every further member .1, and to stay undecided .35. So a cause is a member where
+its probability exceeds .1, and an unknown effect is one like any other.
 """
 
 import math
@@ -78,7 +78,7 @@ def probabilities(
     *,
     odds: float = VERDICT_ODDS,
     masked: float = 1.0,
-    slow_noise: float | None = None,
+    smooth: tuple[float, float] | None = None,
 ) -> dict[str, float]:
     """Posterior over hypotheses, ``"none"`` (of the effects asked about), ``"other"`` and, if asked for, ``"slow_noise"``.
 
@@ -93,7 +93,8 @@ def probabilities(
         bayes_factor: of an unknown effect over the leading one, by what that leaves unexplained.
         odds: prior odds of an unknown effect against the known ones.
         masked: beside selected effects, the chance that these alone did not explain an unknown effect.
-        slow_noise: log evidence, nats, of noise of the camera that lasts several frames; it counts as one more family.
+        smooth: log evidence, nats, of smooth deviations that differ between shots (noise of the camera that lasts several
+            frames, one more family) and of those that are alike in all (an unknown effect).
     """
     prefix = "+".join(effect.name for effect in with_)
     families = [effect.family for effect in effects]
@@ -104,12 +105,14 @@ def probabilities(
         if name in evidence:
             logs[name] = math.log(known / len(set(families)) / families.count(effect.family)) + evidence[name]
     logs[NONE] = math.log(PRIOR_NONE) + evidence[prefix or NONE]
-    if slow_noise is not None:
-        logs[SLOW_NOISE] = math.log(known / (len(set(families)) + 1)) + slow_noise
-    top = max(logs.values())
+    unknown = -math.inf
+    if smooth is not None:
+        share = math.log(known / (len(set(families)) + 1))
+        logs[SLOW_NOISE], unknown = share + smooth[0], share + smooth[1] + math.log(odds)
+    top = max(*logs.values(), unknown)
     weights = {name: math.exp(value - top) for name, value in logs.items()}
     of_effects = sum(weight for name, weight in weights.items() if name not in (NONE, SLOW_NOISE))
     against = odds * masked / PRIOR_TWO if with_ else odds
-    weights[OTHER] = of_effects * min(against * bayes_factor, 1e12) + odds * weights.get(SLOW_NOISE, 0.0)
+    weights[OTHER] = of_effects * min(against * bayes_factor, 1e12) + math.exp(unknown - top)
     total = sum(weights.values())
     return {name: weight / total for name, weight in weights.items()}

@@ -118,7 +118,7 @@ def check_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
     batch = infer_frame_noise(near).applied(batch)
     fit, line = _settled(fit, batch, simulator)
     test = gap_test(generic_blocks(fit, batch, simulator, line), line, seed=child(seed, "fit test"))
-    if test.found and not (fit.certificate.converged or fit.certificate.nearly_converged):
+    if test.found and not fit.certificate.usable:
         return FitTest(fit.model, None, reason=f"the fit of {fit.model} did not converge, and such a fit looks like a misfit.")
     left = _left(line)
     row, column = divmod(int(left.abs().argmax()), left.shape[1])

@@ -257,6 +257,13 @@ class ExperimentBatch:
         own = torch.randn(count, len(sds), generator=generator, dtype=torch.float64) * torch.tensor(sds, dtype=torch.float64)
         return torch.where(self.mask, logs + own[..., None], 0.0)
 
+    def noise_interval(self, prediction: Float[Tensor, "experiments frames"]) -> list[float]:
+        """5, 50 and 95 % quantiles of the noise of the median frame at a prediction, R*."""
+        level = self.sd(prediction)[self.mask].median()
+        logs = self.log_noise_ratios(prediction, 1000, generator=torch.Generator().manual_seed(0))
+        means = logs[:, self.mask].mean(1)
+        return [float(level * means.quantile(q).exp()) for q in (0.05, 0.5, 0.95)]
+
     @cached_property
     def mask(self) -> Bool[Tensor, "experiments frames"]:
         """Frames that exist."""

@@ -63,7 +63,8 @@ class Noise:
         if (self.slope, self.drift) == (published.slope, published.drift):
             grows = f"{own:.2f} x the published law"
         else:
-            grows = f"{own * self.slope:.2g} |R*-1| + {own * self.drift:.2g} t*"
+            parts = ((self.slope, "|R*-1|"), (self.drift, "t*"))
+            grows = " + ".join(f"{own * size:.2g} {of}" for size, of in parts if size) or "0"
         law = f"{grows} with {own * self.floor:.4f} in R* everywhere, {correlated}"
         return law if self.widened == 1.0 else f"{law}, counted {self.widened:.1f} times as large"
 

@@ -24,8 +24,8 @@ class NoiseLaws:
     >>> from imr_torch.observe import Noise
     >>> from imr_torch.observe.noise_laws import NoiseLaws
     >>> laws = NoiseLaws((Noise(), Noise(scale=2.0)), torch.tensor([0.9, 0.1]), torch.tensor([0.1, 0.1]))
-    >>> [round(x, 1) for x in laws.intervals()["scale"]]  # 5, 50 and 95 %
-    [0.9, 1.0, 2.0]
+    >>> round(laws.log_scale_sd, 2)
+    0.1
     """
 
     laws: tuple[Noise, ...]
@@ -57,19 +57,3 @@ class NoiseLaws:
     def log_scales(self, count: int) -> Float[Tensor, "nodes"]:
         """Equally probable logarithms of a factor on the scale, by which the noise may differ from its central law."""
         return self.log_scale_sd * torch.special.ndtri((torch.arange(count, dtype=torch.float64) + 0.5) / count)
-
-    def intervals(self) -> dict[str, list[float]]:
-        """5, 50 and 95 % quantiles of the scale and of the constant part in R*."""
-        nodes = torch.special.ndtri((torch.arange(41, dtype=torch.float64) + 0.5) / 41)
-        steps = self.log_scale_sds[:, None] * nodes
-        scale = torch.tensor([law.scale for law in self.laws], dtype=torch.float64).log()[:, None] + steps
-        floor = torch.tensor([law.floor for law in self.laws], dtype=torch.float64).log()[:, None]
-        weights = (self.weights[:, None] / len(nodes)).expand_as(scale).flatten()
-        values = {"scale": scale.exp().flatten(), "constant": (scale + floor).exp().flatten()}
-        return {name: [_quantile(own, weights, level) for level in (0.05, 0.5, 0.95)] for name, own in values.items()}
-
-
-def _quantile(values: Tensor, weights: Tensor, level: float) -> float:
-    order = values.argsort()
-    reached = torch.searchsorted(weights[order].cumsum(0), torch.tensor(level, dtype=torch.float64))
-    return float(values[order][min(int(reached), len(values) - 1)])

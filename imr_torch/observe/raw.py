@@ -6,7 +6,10 @@ import numpy as np
 import torch
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe.traces import MIN_SAMPLES, Given, LeftOut, RadiusTrace, row_ranges
+from imr_torch.observe.traces import MIN_SAMPLES, RADIUS_RANGE_M, Given, LeftOut, RadiusTrace, row_ranges
+
+_FEW = 0.02  # share of the frames of a curve that may have an impossible radius; more are another unit, or no radius
+_IMPOSSIBLE = "radius negative or smaller than a camera sees (lost frames)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +47,21 @@ class RawCurve:
             The trace (None if fewer than ``MIN_SAMPLES`` frames are left) and what was left out.
 
         Raises:
-            InputDataError: on negative or infinite values, times that do not increase, and implausible units.
+            InputDataError: on infinite values, more than single negative ones, times that do not increase, and implausible
+                units.
         """
-        self._check_rows()
+        curve, left_out = self.without(~self._impossible(), _IMPOSSIBLE)
+        curve._check_rows()
+        trace, others = curve._seen()
+        return trace, [*left_out, *others]
+
+    def _impossible(self) -> np.ndarray:
+        """Frames whose radius is negative or smaller than a camera sees, where they are at most one in fifty; else none."""
+        impossible = (self.radius < RADIUS_RANGE_M[0]) & (self.radius != 0.0) & ~np.isneginf(self.radius)
+        return impossible if impossible.sum() <= _FEW * len(impossible) else np.zeros_like(impossible)
+
+    def _seen(self) -> tuple[RadiusTrace | None, list[LeftOut]]:
+        """The trace of the frames with a bubble, and the others."""
         assert self.time is not None
         empty = np.isnan(self.radius) | (self.radius == 0.0) | np.isnan(self.time)
         seen = np.flatnonzero(~empty)

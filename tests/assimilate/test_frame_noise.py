@@ -9,7 +9,7 @@ from scipy.stats import kstest
 
 from imr_torch.assimilate import FrameNoisePrior, Posterior, infer_frame_noise
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.frame_noise import MATERN, matern_whitened, smooth_noise_gain, without_spikes
+from imr_torch.assimilate.frame_noise import MATERN, matern_whitened, without_spikes
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.gap import LIBRARY
 from imr_torch.gap.adequacy import adequacy_test
@@ -118,8 +118,6 @@ def test_that_what_is_known_of_the_scale_is_what_repeated_inference_scatters_by(
     logs = torch.tensor([one.law.sd(tensor(0.5), tensor(1.5)) for one in found], dtype=torch.float64).log()
     stated = torch.tensor([one.laws.log_scale_sd for one in found]).mean()
     assert 0.5 < float(logs.std() / stated) < 1.8
-    low, middle, high = found[0].laws.intervals()["scale"]
-    assert low < middle < high
 
 
 def test_that_one_noisy_curve_has_a_factor_of_its_own_and_even_curves_have_none():
@@ -143,18 +141,6 @@ def test_that_a_batch_with_the_noise_holds_factors_and_laws():
     assert float(logs[:, 0, 10].std()) == pytest.approx(0.07, rel=0.1)
     assert float((logs[:, 1, 10] - logs[:, 0, 10]).std()) == pytest.approx(found.factor_sds[1], rel=0.1)
     assert float(replace(made, noise_laws=None).log_noise_ratios(radius, 3, generator=generator(0)).abs().sum()) == 0.0
-
-
-def test_that_slow_noise_gains_evidence_where_it_is_and_loses_some_where_it_is_not():
-    quiet = curves(Noise())
-    loud = with_slow_noise(quiet, 0.015)
-    gains = []
-    for batch in (quiet, loud):
-        place = near(batch)
-        known = infer_frame_noise(place).applied(batch)
-        gains.append(smooth_noise_gain(Posterior(BASE, known, SIMULATOR).neighbourhood(place.point)))
-    assert gains[0] < 0.0
-    assert gains[1] > 10.0
 
 
 def test_that_spoilt_frames_are_left_out_and_no_others():

@@ -40,7 +40,7 @@ FOUND = (
     "tests",
     "curves",
     "noise",
-    "noise_intervals",
+    "noise_interval",
     "noise_factors",
     "frames_left_out",
     "members",
@@ -137,10 +137,10 @@ def test_that_windows_say_what_changes_or_that_nothing_does(found, p, words):
 
 def test_that_parts_that_were_not_run_are_null_and_said_to_be_missing(found):
     report, _ = found
-    assert {key for key, value in to_json(report).items() if value is None} == {*PARTS, "noise_intervals"}
+    assert {key for key, value in to_json(report).items() if value is None} == set(PARTS)
     document = to_json(replace(report, attribution=None, adequacy_p=None, verdict="none", cause=()))
     assert set(document) == {*FOUND, *PARTS, *CAUSES}
-    assert {key for key, value in document.items() if value is None} == {*PARTS, *CAUSES, "noise_intervals"}
+    assert {key for key, value in document.items() if value is None} == {*PARTS, *CAUSES}
     assert "no shrinkage on held-out designs was computed" in describe(report)
 
 

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -76,6 +77,22 @@ def test_that_lost_frames_are_left_out_with_their_rows_and_reasons(tmp_path: Pat
     found = [(x.rows, x.reason.partition("(")[2].rstrip(")")) for x in traces.left_out]
     assert found == [("2-3", "before nucleation"), ("5, 8", "lost frames"), ("11", "lost frames")]
     assert all(x.rows in traces.report() and x.reason in traces.report() for x in traces.left_out)
+
+
+def test_that_single_impossible_radii_are_lost_frames_and_many_are_refused(tmp_path: Path) -> None:
+    """As noise makes them at a collapse, where the true radius is next to nothing."""
+    times, radii = (1e-6 * np.arange(100)).tolist(), (1.5e-4 + 5e-5 * np.cos(0.1 * np.arange(100))).tolist()
+    rows = [["id", "time_s", "radius_m"], *[["a", f"{t:.9g}", f"{r:.9g}"] for t, r in zip(times, radii, strict=True)]]
+    rows[41][2], rows[60][2] = "-4e-6", "3e-8"
+    traces = load_traces(written(tmp_path / "gel.csv", "\n".join(",".join(row) for row in rows)))
+    (trace,) = traces
+    assert len(trace) == 98
+    (lost,) = traces.left_out
+    assert lost.rows == "42, 61"
+    assert "negative or smaller than a camera sees" in lost.reason
+    rows[70][2] = "-4e-6"
+    with pytest.raises(InputDataError, match=r"row 42: radius is -4e-06 m, which is negative"):
+        load_traces(written(tmp_path / "bad.csv", "\n".join(",".join(row) for row in rows)))
 
 
 def test_that_a_short_curve_is_left_out_and_the_others_stay(tmp_path: Path) -> None:

@@ -1,0 +1,104 @@
+"""Evidence for smooth deviations from a model: noise of the camera that lasts several frames, or an unknown effect.
+
+Noise differs from shot to shot; an effect of the gel, of the contents or of the set-up moves all shots alike at the same phase
+of their first cycle. Both are Gaussian processes with Matern-3/2 covariance beside the noise of single frames, the first
+independent between shots, the second common to them, in part or whole. Of a single shot they are the same.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate.frame_noise import MATERN
+from imr_torch.assimilate.posterior import Neighbourhood
+from imr_torch.observe import collapse_time
+
+_FRAMES = 900  # in all; of more, every second, third, ... is used
+
+
+@dataclass(frozen=True)
+class SmoothDeviations:
+    """Log evidence, nats, over no smooth deviation, gel and nuisances integrated out.
+
+    Args:
+        own: of deviations that each shot has for itself, as noise of the camera that lasts several frames.
+        common: of deviations that are alike in all shots, as an effect that the model lacks.
+    """
+
+    own: float
+    common: float
+
+
+def smooth_deviations(
+    near: Neighbourhood,
+    *,
+    amounts: Sequence[float] = (0.001, 0.002, 0.004, 0.008, 0.016),
+    durations: Sequence[float] = (0.14, 0.24, 0.4),
+    shares: Sequence[float] = (0.7, 0.95),
+) -> SmoothDeviations:
+    """Evidence for smooth deviations about a fit, to first order.
+
+    Args:
+        near: a fitted point with its local sensitivities; the noise of its batch is that of single frames.
+        amounts: standard deviations of a deviation in R*, equally probable.
+        durations: lags in t* at which its correlation has fallen to 1/e, equally probable; repeats of public records differ by
+            deviations that last .14 to .4.
+        shares: of its variance that is common to all shots, equally probable, where it is.
+    """
+    batch = near.posterior.batch
+    used = batch.mask & (torch.arange(batch.mask.shape[1]) % -(-int(batch.mask.sum()) // _FRAMES) == 0)
+    shot = torch.arange(len(used))[:, None].expand_as(used)[used]
+    times, phases = batch.times[used], _phases(near)[used]
+    noise = (batch.sd(near.centre).square() / batch.counts)[used]
+    residual = (batch.mean - near.centre)[used]
+    columns, point = _columns(near, used)
+
+    def evidence(amount: float, duration: float, share: float) -> Tensor:
+        same = (shot[:, None] == shot).to(noise)
+        own, common = (_matern((x[:, None] - x).abs() / duration) for x in (times, phases))
+        covariance = amount**2 * ((1.0 - share) * same * own + share * common) + torch.diag(noise)
+        chol = torch.linalg.cholesky(covariance)
+        seen = torch.linalg.solve_triangular(chol, torch.cat((residual[:, None], columns), 1), upper=False)
+        data, moved = seen[:, 0], seen[:, 1:]
+        hessian = torch.linalg.cholesky(torch.eye(len(point), dtype=torch.float64) + moved.mT @ moved)
+        step = torch.linalg.solve_triangular(hessian, (moved.mT @ data - point)[:, None], upper=False)
+        log_dets = chol.diagonal().log().sum() + hessian.diagonal().log().sum()
+        return 0.5 * (step.square().sum() - data.square().sum()) - log_dets
+
+    none = evidence(0.0, 1.0, 0.0)
+
+    def mean(shares: Sequence[float]) -> float:
+        values = torch.stack([evidence(*values) for values in product(amounts, durations, shares)])
+        return float(values.logsumexp(0) - math.log(len(values)) - none)
+
+    return SmoothDeviations(mean((0.0,)), mean(shares))
+
+
+def _matern(lags: Tensor) -> Tensor:
+    """Correlation at lags over that at which it has fallen to 1/e."""
+    x = MATERN * lags
+    return (1.0 + x) * torch.exp(-x)
+
+
+def _phases(near: Neighbourhood) -> Tensor:
+    """Times by the length of the first cycle, over its mean in all shots: ``E x T``; times where a shot has no collapse."""
+    batch = near.posterior.batch
+    rows = zip(batch.times, near.centre, batch.mask, strict=True)
+    ends = [collapse_time(t[m], r[m], 1) for t, r, m in rows]
+    if not all(math.isfinite(end) for end in ends):
+        return batch.times
+    lengths = torch.tensor(ends, dtype=torch.float64)
+    return batch.times * (lengths.mean() / lengths)[:, None]
+
+
+def _columns(near: Neighbourhood, used: Tensor) -> tuple[Tensor, Tensor]:
+    """Sensitivities at the frames used to gel and nuisances of each shot, ``n x k``, and these at the point, ``k``."""
+    by_gel, by_nuisance = (x.nan_to_num() for x in near.slopes)
+    own = torch.eye(len(by_nuisance), dtype=torch.float64)
+    apart = by_nuisance[:, :, None, :] * own[:, None, :, None]  # E x T x E x w
+    columns = torch.cat((by_gel[used], apart.flatten(2)[used]), 1)
+    return columns, torch.cat((near.point.gel, near.point.nuisances.flatten()))
