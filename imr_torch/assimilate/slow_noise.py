@@ -38,7 +38,7 @@ def smooth_deviations(
     *,
     amounts: Sequence[float] = (0.001, 0.002, 0.004, 0.008, 0.016),
     durations: Sequence[float] = (0.14, 0.24, 0.4),
-    shares: Sequence[float] = (0.7, 0.95),
+    shares: Sequence[float] = (0.5, 0.9),
 ) -> SmoothDeviations:
     """Evidence for smooth deviations about a fit, to first order.
 

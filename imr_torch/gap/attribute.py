@@ -9,7 +9,7 @@ been taken for the best known one (:mod:`imr_torch.gap.lookalike`).
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -244,7 +244,8 @@ def _concluded(
     checked = check_evidence(fits, evidence, batch, simulator, seed=child(seed, "evidence"))
     if checked and all(found.reliable for found in checked.values()):
         evidence |= {name: found.sampled for name, found in checked.items()}
-        winner, others = _converged_winner(problem, fits, evidence, seed=child(seed, "ahead"), progress=progress)
+        own = child(seed, "ahead")
+        winner, others = _converged_winner(problem, fits, evidence, sampled=checked, seed=own, progress=progress)
         left_out += others
     left = adequacy_test(fits[winner], inquiry.effects, batch, simulator, seed=child(seed, "adequacy"))
     size = math.sqrt(max(2.0 * (problem.null.cost - fits[winner].cost), 0.0))
@@ -338,11 +339,18 @@ def _alike(
 
 
 def _converged_winner(
-    problem: _Problem, fits: dict[str, ModelFit], evidence: dict[str, float], *, seed: int, progress: Progress | None
+    problem: _Problem,
+    fits: dict[str, ModelFit],
+    evidence: dict[str, float],
+    *,
+    sampled: Collection[str] = (),
+    seed: int,
+    progress: Progress | None,
 ) -> tuple[str, tuple[str, ...]]:
     """The best hypothesis whose fit converges, and those before it whose fits do not, which lose their evidence.
 
-    Fits are continued where they have not converged; ``fits`` and ``evidence`` are brought up to date.
+    Fits are continued where they have not converged; ``fits`` and ``evidence`` are brought up to date, but for evidence that
+    was ``sampled``.
     """
     batch, simulator = problem.inquiry.batch, problem.inquiry.simulator
     left_out: list[str] = []
@@ -351,7 +359,9 @@ def _converged_winner(
         if fits[winner].certificate.converged:
             break
         finished = finish(fits[winner], batch, simulator, seed=child(seed, "finish"), progress=progress)
-        fits[winner], evidence[winner] = finished, laplace_evidence(finished)
+        fits[winner] = finished
+        if winner not in sampled:
+            evidence[winner] = laplace_evidence(finished)
         if winner != _winner(problem, evidence):
             continue
         if finished.certificate.usable or len(evidence) == 2 or len(left_out) == _MOST_LEFT_OUT:

@@ -16,7 +16,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
 from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, fit_null, laplace_evidence
-from imr_torch.gap.verdict import NONE, OTHER, SLOW_NOISE, Choice, choose
+from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choose
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value
@@ -291,7 +291,7 @@ def _unexplained(
 def _is_slow_noise(found: Attribution) -> bool:
     """Whether slow noise, or an unknown effect that looks like it, is more probable than all else, and no known effect is."""
     slow = found.posterior.get(SLOW_NOISE)
-    if slow is None or slow + found.posterior[OTHER] <= _UNKNOWN:
+    if slow is None or slow <= MEMBER or slow + found.posterior[OTHER] <= _UNKNOWN:
         return False
     return slow >= max(p for name, p in found.posterior.items() if name not in (OTHER, SLOW_NOISE))
 

@@ -1,6 +1,7 @@
 """Fits of all effects and what follows from them: the credible set, a winner that was cut short, an effect that is enough alone."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import pytest
 
@@ -42,6 +43,24 @@ def test_that_an_effect_which_sampling_puts_ahead_is_fitted_to_the_end(monkeypat
     assert found.winner == "surface_tension"
     assert found.fits["surface_tension"].certificate.converged
     assert found.log_evidence["surface_tension"] == 1e6
+
+
+def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(monkeypatch) -> None:
+    batch = shoot({"gas_loss": 0.2})
+    null = fit(batch)
+
+    def never(found, *_, **__):
+        loose = replace(found.certificate, converged=False, gradient=1.0)
+        return replace(found, certificate=loose if "gas_loss" in str(found.prior.names) else found.certificate)
+
+    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2, polish=False))
+    monkeypatch.setattr("imr_torch.gap.attribute.finish", never)
+    with_wall = (LIBRARY["gas_loss"], LIBRARY["wall"])
+    fits = attribute(Inquiry(BASE, with_wall, batch, SIMULATOR), null, {}, seed=0)
+    assert fits.left_out == ("gas_loss",)
+    assert fits.winner == "wall"
+    assert "gas_loss" not in fits.posterior
+    assert sum(fits.posterior.values()) == pytest.approx(1.0)
 
 
 def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_more() -> None:

@@ -262,7 +262,7 @@ def test_that_what_effects_explain_is_drawn_where_their_probabilities_are_zero(f
 
 def test_that_nothing_is_said_on_a_fit_that_did_not_converge(found):
     report, _ = found
-    loose = replace(report.null, certificate=replace(report.null.certificate, converged=False))
+    loose = replace(report.null, certificate=replace(report.null.certificate, converged=False, gradient=1.0))
     undecided = replace(report, null=loose, attribution=None, verdict="undecided", cause=(), reason="Loose.")
     assert "an unconverged fit looks exactly like a gap" in describe(undecided)
     assert to_json(undecided)["gap"] is False

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -17,7 +18,8 @@ module = sys.modules["imr_torch.gap.diagnose"]  # its name in the package is tha
 
 
 def attribution(posterior: dict[str, float], winner: str, *, p_adequate: float = 0.5, converged: bool = True) -> Attribution:
-    fit = SimpleNamespace(certificate=SimpleNamespace(converged=converged, nearly_converged=converged))
+    certificate = SimpleNamespace(converged=converged, nearly_converged=converged, usable=converged)
+    fit = SimpleNamespace(certificate=certificate)
     evidence = dict.fromkeys(["none", winner], 0.0)
     test = SimpleNamespace(p_value=p_adequate, bias_radius=0.01)
     return Attribution({winner: fit}, evidence, posterior, {}, winner, test, {})
@@ -150,3 +152,35 @@ def test_that_other_needs_a_certificate_of_what_came_nearest(monkeypatch) -> Non
     finding = selected(0.0)
     assert (finding.verdict, finding.cause) == ("undecided", ())
     assert "the fit with gas_loss did not converge" in finding.reason
+
+
+def test_that_slow_noise_counts_as_a_family_and_deviations_alike_in_all_shots_as_an_unknown_effect() -> None:
+    posterior = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0, smooth=(-3.0, -3.0))
+    plain = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0)
+    assert sum(posterior.values()) == pytest.approx(1.0)
+    ratio = posterior["gas_loss"] / plain["gas_loss"]
+    assert posterior["slow_noise"] == pytest.approx(0.25 / 4.0 * ratio)
+    assert posterior["other"] == pytest.approx((0.25 + 0.25 / 4.0) * ratio)
+    loud = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0, smooth=(40.0, -3.0))
+    assert loud["slow_noise"] > 0.999
+    alike = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0, smooth=(-3.0, 40.0))
+    assert alike["other"] > 0.999
+
+
+def test_that_slow_noise_is_no_effect_and_is_said_with_what_would_decide(monkeypatch) -> None:
+    found = attribution({"gas_loss": 0.05, "none": 0.05, "other": 0.4, "slow_noise": 0.5}, "gas_loss")
+    monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
+    finding = selected(0.0)
+    assert (finding.verdict, finding.cause) == ("other", ())
+    assert "slow noise of the camera (probability 0.50)" in finding.reason
+    assert "repeat a shot" in finding.reason
+    assert "slow_noise" in finding.choice.members
+    doubtful = named({"gas_loss": 0.8, "slow_noise": 0.15, "none": 0.0, "other": 0.05}, "gas_loss")
+    assert (doubtful.verdict, doubtful.cause) == ("undecided", ("gas_loss",))
+
+
+def test_that_a_cause_is_not_sure_where_a_fit_ahead_of_it_did_not_converge() -> None:
+    found = attribution({"gas_loss": 0.96, "none": 0.0, "other": 0.04}, "gas_loss")
+    finding = module._name((), replace(found, left_out=("wall",)), choose(found.posterior))
+    assert (finding.verdict, finding.cause) == ("undecided", ("gas_loss",))
+    assert "The fit with wall did not converge and was left out" in finding.reason
