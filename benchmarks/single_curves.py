@@ -272,8 +272,8 @@ def _named(rows: Sequence[dict[str, Any]]) -> str:
     right = [r for r in named if _holds(r)]
     other = {word: sum(r["verdict"] == word for r in seen) for word in ("other", "undecided", "none")}
     return (
-        f"With an effect: {len(rows)} sets; {len(plain)} with p < .001 by the true noise, of which {len(seen)} are seen; of these "
-        f"{len(right)} named right or in the class, {len(named) - len(right)} wrong, {other}."
+        f"With an effect: {len(rows)} sets; {len(plain)} with p < .001 by the true noise, of which {len(seen)} are seen; of "
+        f"these {len(right)} named right or in the class, {len(named) - len(right)} wrong, {other}."
     )
 
 

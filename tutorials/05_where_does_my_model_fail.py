@@ -69,8 +69,8 @@ print(blind.verdict, blind.cause, "-", blind.reason)
 
 # %% [markdown]
 # ## Your file
-# Single curves have no repeats to take the noise from; it is taken from how rough they are, and as correlated. On the command
-# line: `imr-torch diagnose example_gel.csv --html page.html`.
+# Single curves have no repeats to take the noise from; it is inferred from how their frames scatter about the fit, in such a
+# way that a misfit is not taken for noise. On the command line: `imr-torch diagnose example_gel.csv --html page.html`.
 #
 # The gel of this file was simulated without any effect, and no gap is found. A gap may come from the camera as well as from
 # the gel: these films begin 0.3 us after the maximum, where the radius changes less than the noise, so the largest frame comes

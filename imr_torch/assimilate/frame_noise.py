@@ -36,6 +36,7 @@ _AT_ONCE = 1500  # combinations filtered side by side
 _KEPT = 1e-4  # weight over the largest from which on a law is kept
 _OWN_SD = 0.7  # prior standard deviation of the logarithm of one curve's own noise factor
 _SPIKE = 8.0 * 1.482602  # times the median distance of a frame from its neighbours, beyond which it is spoilt
+_AROUND = 10  # frames on either side that say what is usual
 _SPIKES = 0.05  # share of the frames of a curve that may be
 _FEWEST = 12  # frames that a curve needs for a factor of its own
 
@@ -299,8 +300,9 @@ def _local(
 def without_spikes(near: Neighbourhood) -> Bool[Tensor, "experiments frames"]:
     """Frames without those that single errors of the camera have spoilt.
 
-    A frame is left out where the residual stands off the cubic through its neighbours by more than eight times what is usual in
-    its curve, by more than the fitted curve bends there, and farther than any other frame; then the next one is looked for.
+    A frame is left out where the residual stands off the cubic through its neighbours by more than eight times what is usual (in
+    R* about that time, and over the law of the batch in the whole curve), by more than the fitted curve bends there, and farther
+    than any other frame; then the next one is looked for.
 
     Args:
         near: a fitted point; its batch holds curves of one repeat.
@@ -315,15 +317,21 @@ def without_spikes(near: Neighbourhood) -> Bool[Tensor, "experiments frames"]:
                 break
             residual = (batch.mean - near.centre)[row, frames].unfold(0, 5, 1)
             weights = lagrange_weights(batch.times[row, frames].unfold(0, 5, 1))
-            off = (weights * residual).sum(1)
-            own = off.abs() / (weights * law[row, frames].unfold(0, 5, 1)).norm(dim=1)
-            beyond = off.abs() > bends[row, frames][2:-2]
-            own = torch.where(beyond, own, 0.0) / own.median().clamp_min(1e-300)
+            off = (weights * residual).sum(1).abs()
+            over_law = off / (weights * law[row, frames].unfold(0, 5, 1)).norm(dim=1)
+            own = torch.minimum(off / _running_median(off), over_law / over_law.median().clamp_min(1e-300))
+            own = torch.where(off > bends[row, frames][2:-2], own, 0.0)
             worst = int(own.argmax())
             if float(own[worst]) < _SPIKE:
                 break
             kept[row, frames[worst + 2]] = False
     return kept
+
+
+def _running_median(values: Tensor) -> Tensor:
+    """Median of each value and ten on either side, as many as there are at the ends; never zero."""
+    padded = torch.nn.functional.pad(values, (_AROUND, _AROUND), value=math.nan)
+    return padded.unfold(0, 2 * _AROUND + 1, 1).nanmedian(1).values.clamp_min(1e-300)
 
 
 def _balanced(law: Noise, balance: float) -> tuple[float, float]:
