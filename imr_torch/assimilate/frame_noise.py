@@ -300,9 +300,9 @@ def _local(
 def without_spikes(near: Neighbourhood) -> Bool[Tensor, "experiments frames"]:
     """Frames without those that single errors of the camera have spoilt.
 
-    A frame is left out where the residual stands off the cubic through its neighbours by more than eight times what is usual (in
-    R* about that time, and over the law of the batch in the whole curve), by more than the fitted curve bends there, and farther
-    than any other frame; then the next one is looked for.
+    A frame is left out where the residual stands off the cubic through its neighbours by more than eight times what is usual
+    (in R* about that time, and over the law of the batch in the whole curve), by more than the fitted curve bends there, and
+    farther than any other frame; then the next one is looked for.
 
     Args:
         near: a fitted point; its batch holds curves of one repeat.

@@ -22,6 +22,8 @@ ODDS = (1.0 / 9.0, 1.0)
 """Prior odds of an unknown effect against the known ones at which probabilities are given."""
 VERDICT_ODDS = 1.0
 """Those that the verdict is based on."""
+PRIOR_SLOW = 0.25
+"""That it is slow noise of the camera, given that it is nothing unknown: some public records hold such noise and others do not."""
 PRIOR_TWO = 0.1
 """That two effects act at once, given that the known ones do."""
 MEMBER, UNDECIDED = 0.1, 0.35
@@ -94,21 +96,24 @@ def probabilities(
         odds: prior odds of an unknown effect against the known ones.
         masked: beside selected effects, the chance that these alone did not explain an unknown effect.
         smooth: log evidence, nats, of smooth deviations that differ between shots (noise of the camera that lasts several
-            frames, one more family) and of those that are alike in all (an unknown effect).
+            frames) and of those that are alike in all (an unknown effect).
     """
     prefix = "+".join(effect.name for effect in with_)
     families = [effect.family for effect in effects]
     known = (1.0 - PRIOR_NONE) / (1.0 + odds)
+    slow, unknown = 0.0, -math.inf
+    if smooth is not None:
+        slow = PRIOR_SLOW * known
+        known -= slow
+        unknown = math.log(slow * odds) + smooth[1]
     logs = {}
     for effect in effects:
         name = f"{prefix}+{effect.name}" if prefix else effect.name
         if name in evidence:
             logs[name] = math.log(known / len(set(families)) / families.count(effect.family)) + evidence[name]
     logs[NONE] = math.log(PRIOR_NONE) + evidence[prefix or NONE]
-    unknown = -math.inf
     if smooth is not None:
-        share = math.log(known / (len(set(families)) + 1))
-        logs[SLOW_NOISE], unknown = share + smooth[0], share + smooth[1] + math.log(odds)
+        logs[SLOW_NOISE] = math.log(slow) + smooth[0]
     top = max(*logs.values(), unknown)
     weights = {name: math.exp(value - top) for name, value in logs.items()}
     of_effects = sum(weight for name, weight in weights.items() if name not in (NONE, SLOW_NOISE))

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from imr_torch.gap.attribute import Attribution, Inquiry
-from imr_torch.gap.verdict import PRIOR_NONE, PRIOR_TWO, choose, probabilities
+from imr_torch.gap.verdict import PRIOR_NONE, PRIOR_SLOW, PRIOR_TWO, choose, probabilities
 from imr_torch.material import library
 from tests.gap.synthetic import BASE
 
@@ -154,13 +154,13 @@ def test_that_other_needs_a_certificate_of_what_came_nearest(monkeypatch) -> Non
     assert "the fit with gas_loss did not converge" in finding.reason
 
 
-def test_that_slow_noise_counts_as_a_family_and_deviations_alike_in_all_shots_as_an_unknown_effect() -> None:
+def test_that_slow_noise_has_its_prior_and_deviations_alike_in_all_shots_as_an_unknown_effect() -> None:
     posterior = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0, smooth=(-3.0, -3.0))
     plain = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0)
     assert sum(posterior.values()) == pytest.approx(1.0)
-    ratio = posterior["gas_loss"] / plain["gas_loss"]
-    assert posterior["slow_noise"] == pytest.approx(0.25 / 4.0 * ratio)
-    assert posterior["other"] == pytest.approx((0.25 + 0.25 / 4.0) * ratio)
+    assert posterior["slow_noise"] / posterior["gas_loss"] == pytest.approx(3.0 * PRIOR_SLOW / (1.0 - PRIOR_SLOW))
+    assert posterior["other"] == pytest.approx(3.0 * posterior["gas_loss"] + posterior["slow_noise"])
+    assert posterior["gas_loss"] < plain["gas_loss"]
     loud = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0, smooth=(40.0, -3.0))
     assert loud["slow_noise"] > 0.999
     alike = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0, smooth=(-3.0, 40.0))
