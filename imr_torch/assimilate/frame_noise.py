@@ -50,6 +50,8 @@ class FrameNoisePrior:
         balances: factors on the published ratio of ``slope`` to ``drift``, with their probabilities; 0 is noise that grows with
             time alone, infinity noise that grows with ``|R* - 1|`` alone.
         floors: constant parts at scale 1, R*.
+        level: prior median of the noise, root mean square over all frames in R*, and the standard deviation of its logarithm,
+            which matters where there are few frames.
         least: smallest constant part, R*: bubbles are not computed more exactly than that.
         amounts: standard deviation of the smooth deviation, over that of the noise.
         durations: lag at which its correlation has fallen to 1/e, t*; never less than 2.5 frames.
@@ -66,6 +68,7 @@ class FrameNoisePrior:
     law: Noise = field(default_factory=Noise)
     balances: tuple[tuple[float, float], ...] = ((0.0, 0.1), (1.0 / 3.0, 0.15), (1.0, 0.5), (3.0, 0.15), (math.inf, 0.1))
     floors: tuple[float, ...] = tuple(0.0005 * 2.0**k for k in range(8))
+    level: tuple[float, float] = (0.004, 1.5)
     least: float = 0.0003
     amounts: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
     durations: tuple[float, ...] = (0.14, 0.3, 0.6, 1.2)
@@ -200,19 +203,26 @@ class _Grid:
         batch, radius = self.near.posterior.batch, self.near.centre
         return (slope * (radius - 1.0).abs() + drift * batch.times).square() + floor.square()
 
+    def mean_square(self, values: Tensor, factors: Tensor) -> Tensor:
+        """``J`` tensor, mean of that over the frames that are used."""
+        return (self.variance(values) * factors[:, None].square() * self.rows).sum((1, 2)) / self.rows.sum()
+
     def whitened(self, values: Tensor, factors: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
         """Columns ``C x E x T`` under each combination, ``J x C x E x T``, and half the log determinants, ``J x E``."""
         noise = self.variance(values) * factors[:, None].square()
-        mean = (noise * self.rows).sum((1, 2)) / self.rows.sum()
         noise = noise + (values[:, 5, None, None] * self.bend).square()
-        smooth = values[:, 3].square() * mean
+        smooth = values[:, 3].square() * self.mean_square(values, factors)
         return matern_whitened(self.near.posterior.batch.times, self.rows, noise, smooth, MATERN / values[:, 4], columns)
 
     def posterior(self, factors: Tensor) -> _Found:
         """Weights of all combinations, their scales integrated out."""
         local = _local(self.near, self.rows, lambda some, columns: self.whitened(some, factors, columns), self.values)
-        log_scales, sds = best_scales([local])
-        value = local.marginal(log_scales[:, None])[:, 0] + sds.log() + self.log_prior
+        likely, widths = best_scales([local])
+        median, wide = self.prior.level
+        ahead = math.log(median) - 0.5 * self.mean_square(self.values, factors).log() - likely
+        both = widths.square() + wide**2
+        log_scales, sds = likely + widths.square() / both * ahead, widths * wide / both.sqrt()
+        value = local.marginal(likely[:, None])[:, 0] + sds.log() - 0.5 * ahead.square() / both + self.log_prior
         too_small = log_scales + self.values[:, 2].log() < math.log(self.prior.least)
         if not bool(too_small.all()):
             value = torch.where(too_small, -torch.inf, value)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Posterior
 from imr_torch.assimilate.frame_noise import infer_frame_noise, without_spikes
+from imr_torch.assimilate.noise_estimation import determines_noise
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
@@ -198,7 +199,12 @@ def _without_spikes(
 def _with_inferred_noise(
     null: ModelFit, base: ModelBelief, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None
 ) -> tuple[ModelFit, ExperimentBatch]:
-    """The base model's fit under the noise that is inferred about it, and the data with that noise."""
+    """The base model's fit under the noise that is inferred about it, and the data with that noise.
+
+    The noise stays as it is where the fit leaves too few degrees of freedom for it to be inferred.
+    """
+    if not determines_noise(null, batch):
+        return null, batch
     for number in range(_NOISE_ROUNDS):
         near = Posterior(base, batch, simulator).neighbourhood(null.point)
         batch = infer_frame_noise(near).applied(batch)

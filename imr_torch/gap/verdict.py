@@ -23,7 +23,7 @@ ODDS = (1.0 / 9.0, 1.0)
 VERDICT_ODDS = 1.0
 """Those that the verdict is based on."""
 PRIOR_SLOW = 0.25
-"""That it is slow noise of the camera, given that it is nothing unknown: some public records hold such noise and others do not."""
+"""That it is slow noise of the camera, given that it is nothing unknown: some public records hold such noise, others none."""
 PRIOR_TWO = 0.1
 """That two effects act at once, given that the known ones do."""
 MEMBER, UNDECIDED = 0.1, 0.35
