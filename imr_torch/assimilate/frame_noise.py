@@ -385,7 +385,7 @@ def lagrange_weights(times: Float[Tensor, "windows 5"]) -> Float[Tensor, "window
 
 def matern_whitened(
     times: Float[Tensor, "experiments frames"],
-    mask: Float[Tensor, "experiments frames"],
+    mask: Bool[Tensor, "experiments frames"],
     noise: Float[Tensor, "laws experiments frames"],
     smooth: Float[Tensor, "laws"],
     rates: Float[Tensor, "laws"],
