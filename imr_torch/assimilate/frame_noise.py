@@ -14,7 +14,6 @@ the others gets a factor of its own. Gaussian processes by their state space: Ha
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -86,14 +85,12 @@ class FrameNoise:
         laws: the posterior.
         factors: of each experiment, its noise over the law; 1 where it is that of the others.
         factor_sds: standard deviations of their logarithms.
-        smooth: probability of a smooth deviation.
     """
 
     law: Noise
     laws: NoiseLaws
     factors: tuple[float, ...]
     factor_sds: tuple[float, ...]
-    smooth: float
 
     def applied(self, batch: ExperimentBatch) -> ExperimentBatch:
         """A batch of the same curves with this noise."""
@@ -146,12 +143,12 @@ def _of_repeats(batch: ExperimentBatch, law: Noise) -> FrameNoise:
     )
     one, count = torch.ones(1, dtype=torch.float64), len(batch.curves)
     laws = NoiseLaws((found,), one, one / math.sqrt(2.0 * repeats), of_residuals=False)
-    return FrameNoise(found, laws, (1.0,) * count, (0.0,) * count, 0.0)
+    return FrameNoise(found, laws, (1.0,) * count, (0.0,) * count)
 
 
 @dataclass(frozen=True)
 class _Found:
-    """Log weights of all combinations, and their scales with standard deviations: ``J`` tensors; innovations are not kept."""
+    """Log weights of all combinations, and their log scales with standard deviations: ``J`` tensors."""
 
     log_weights: Tensor
     log_scales: Tensor
@@ -214,9 +211,34 @@ class _Grid:
         smooth = values[:, 3].square() * self.mean_square(values, factors)
         return matern_whitened(self.near.posterior.batch.times, self.rows, noise, smooth, MATERN / values[:, 4], columns)
 
+    def local(self, factors: Tensor) -> LocalNoise:
+        """What the linearisation says of the data under each combination, at scale 1."""
+        near, batch = self.near, self.near.posterior.batch
+        by_gel, by_nuisance = (x.movedim(-1, 0) for x in near.slopes)
+        columns = torch.cat(((batch.mean - near.centre)[None], by_gel, by_nuisance)) * batch.counts.sqrt()
+        columns = torch.where(self.rows, columns, 0.0).nan_to_num()
+        parts = []
+        for some in self.values.split(_AT_ONCE):
+            seen, log_det = self.whitened(some, factors, columns)
+            residual, gel, nuisance = (x.movedim(1, -1) for x in seen.split((1, len(by_gel), len(by_nuisance)), 1))
+            parts.append(
+                (
+                    residual.square().sum((1, 2, 3)),
+                    log_det.sum(1),
+                    -(gel.mT @ residual)[..., 0].sum(1),
+                    -(nuisance.mT @ residual)[..., 0],
+                    (gel.mT @ gel).sum(1),
+                    nuisance.mT @ nuisance,
+                    nuisance.mT @ gel,
+                )
+            )
+        square, normaliser, *blocks = (torch.cat(x) for x in zip(*parts, strict=True))
+        point = (near.point.gel, near.point.nuisances)
+        return LocalNoise(square, normaliser, float(self.rows.sum()), NormalEquations(*blocks), point)
+
     def posterior(self, factors: Tensor) -> _Found:
         """Weights of all combinations, their scales integrated out."""
-        local = _local(self.near, self.rows, lambda some, columns: self.whitened(some, factors, columns), self.values)
+        local = self.local(factors)
         likely, widths = best_scales([local])
         median, wide = self.prior.level
         ahead = math.log(median) - 0.5 * self.mean_square(self.values, factors).log() - likely
@@ -250,7 +272,7 @@ class _Grid:
 
     def concluded(self, found: _Found, factors: Tensor, factor_sds: Tensor) -> FrameNoise:
         """Laws alike in all but their deviations together, and the central one."""
-        laws, weights, centres, sds = [], [], [], []
+        laws, weights, sds = [], [], []
         keys, group = self.values[:, :3].unique(dim=0, return_inverse=True)
         for number, (slope, drift, floor) in enumerate(keys.tolist()):
             own = (group == number) & torch.isfinite(found.log_weights)
@@ -262,49 +284,18 @@ class _Grid:
             spread = float(share @ (found.sds[own].square() + (found.log_scales[own] - centre).square()))
             laws.append(replace(self.prior.law, scale=math.exp(centre), slope=slope, drift=drift, floor=floor))
             weights.append(total)
-            centres.append(centre)
             sds.append(math.sqrt(spread))
         shares = torch.softmax(torch.tensor(weights, dtype=torch.float64), 0)
         kept = torch.nonzero(shares > _KEPT * shares.max())[:, 0].tolist()
         chosen = tuple(laws[i] for i in kept)
         share = shares[kept] / shares[kept].sum()
         laws_known = NoiseLaws(chosen, share, torch.tensor(sds, dtype=torch.float64)[kept])
-        smooth = float(found.log_weights[self.values[:, 3] > 0.0].exp().sum())
         batch, radius = self.near.posterior.batch, self.near.centre
         logs = torch.stack([law.sd(radius, batch.times)[self.rows].log() for law in chosen])
         best = int(share.argmax())
         shift = float((share @ logs - logs[best]).mean())
         law = replace(chosen[best], scale=chosen[best].scale * math.exp(shift))
-        return FrameNoise(law, laws_known, tuple(factors.tolist()), tuple(factor_sds.tolist()), smooth)
-
-
-def _local(
-    near: Neighbourhood, rows: Tensor, whitened: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]], values: Tensor
-) -> LocalNoise:
-    """What the linearisation says of the data under each row of ``values``, by a function that whitens columns under these."""
-    batch = near.posterior.batch
-    by_gel, by_nuisance = (x.movedim(-1, 0) for x in near.slopes)
-    size = len(by_gel)
-    columns = torch.cat(((batch.mean - near.centre)[None], by_gel, by_nuisance)) * batch.counts.sqrt()
-    columns = torch.where(rows, columns, 0.0).nan_to_num()
-    parts = []
-    for some in values.split(_AT_ONCE):
-        seen, log_det = whitened(some, columns)
-        residual, gel, nuisance = (x.movedim(1, -1) for x in seen.split((1, size, len(by_nuisance)), 1))
-        parts.append(
-            (
-                residual.square().sum((1, 2, 3)),
-                log_det.sum(1),
-                -(gel.mT @ residual)[..., 0].sum(1),
-                -(nuisance.mT @ residual)[..., 0],
-                (gel.mT @ gel).sum(1),
-                nuisance.mT @ nuisance,
-                nuisance.mT @ gel,
-            )
-        )
-    square, normaliser, *blocks = (torch.cat(x) for x in zip(*parts, strict=True))
-    point = (near.point.gel, near.point.nuisances)
-    return LocalNoise(square, normaliser, float(rows.sum()), NormalEquations(*blocks), point)
+        return FrameNoise(law, laws_known, tuple(factors.tolist()), tuple(factor_sds.tolist()))
 
 
 def without_spikes(near: Neighbourhood) -> Bool[Tensor, "experiments frames"]:
