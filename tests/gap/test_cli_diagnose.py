@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from imr_torch.cli import diagnose as commands
 from imr_torch.cli import main
 from imr_torch.gap import load_set
 from imr_torch.material import PARAMETERS
@@ -44,6 +45,43 @@ def test_that_a_set_comes_back_as_it_was_shot(matched):
     assert second.radius.shape == (5, 53)
     assert float(first.radius[:, 0].mean()) == pytest.approx(1.0, abs=0.005)
     assert float(second.times[-1]) == pytest.approx(2.6)
+
+
+@pytest.fixture(scope="module")
+def single(matched, tmp_path_factory) -> Path:
+    """The first repeat of each design as a file of curves, with one negative radius and one frame far off its neighbours."""
+    with np.load(matched) as document:
+        times, radii = document["time_s"], document["radius_m"][:, 0].copy()
+    radii[0, 15] *= 1.3
+    radii[1, 18] = -1e-6
+    rows = [f"shot {k},{t!r},{r!r}" for k in range(2) for t, r in zip(times[k].tolist(), radii[k].tolist(), strict=True)]
+    path = tmp_path_factory.mktemp("curves") / "single.csv"
+    path.write_text("\n".join(["experiment_id,time_s,radius_m", *rows]) + "\n")
+    return path
+
+
+def test_that_single_curves_are_judged_by_the_noise_of_their_frames(single, tmp_path, capsys):
+    target = tmp_path / "result.json"
+    assert main(["diagnose", str(single), *FAST, "--rest-radius", "0.185:0.02", "--json", str(target)]) == 0
+    said, result = capsys.readouterr().out, json.loads(target.read_text())
+    assert "negative or smaller than a camera sees" in said
+    assert "Frames that stand alone, far off their neighbours, were left out: 1 of shot 0." in said
+    assert "Noise of single frames, inferred from the curves" in said
+    assert result["frames_left_out"] == {"shot 0": 1}
+    low, middle, high = result["noise_interval"]
+    assert 0.003 < low < middle < high < 0.03
+    assert (result["gap"], result["verdict"], result["converged"]) == (False, "none", True)
+    assert "everything (chi-square)" not in {test["name"] for test in result["tests"]}
+
+
+def test_that_a_document_is_saved_with_null_for_a_number_that_is_not_finite(single, tmp_path, monkeypatch):
+    original = commands.to_json
+    monkeypatch.setattr(commands, "to_json", lambda *a, **k: original(*a, **k) | {"ladder": [{"closed": [0.5, float("nan")]}]})
+    target = tmp_path / "result.json"
+    assert main(["diagnose", str(single), *FAST, "--rest-radius", "0.185:0.02", "--json", str(target)]) == 0
+    result = json.loads(target.read_text())
+    assert result["ladder"] == [{"closed": [0.5, None]}]
+    assert result["not_finite"] == ["ladder.0.closed.1"]
 
 
 def test_that_missing_frames_and_missing_repeats_are_left_out_and_no_others(matched, tmp_path):
