@@ -18,25 +18,20 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 
 import torch
-from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.assimilate.gauss_newton import NormalEquations
+from imr_torch.assimilate.matern import MATERN, matern_whitened
 from imr_torch.assimilate.noise_law import LocalNoise, NoiseGrid, best_scales
 from imr_torch.assimilate.noise_prior import NoisePrior
 from imr_torch.assimilate.posterior import Neighbourhood
+from imr_torch.assimilate.spikes import bends
 from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
-
-MATERN = 2.146193
-"""Rate of a Matern-3/2 covariance times the lag at which it has fallen to 1/e."""
 
 _FRAMES = 400  # of a longer record every second, third, ... frame is used
 _AT_ONCE = 1500  # combinations filtered side by side
 _KEPT = 1e-4  # weight over the largest from which on a law is kept
 _OWN_SD = 0.7  # prior standard deviation of the logarithm of one curve's own noise factor
-_SPIKE = 8.0 * 1.482602  # times the median distance of a frame from its neighbours, beyond which it is spoilt
-_AROUND = 10  # frames on either side that say what is usual
-_SPIKES = 0.05  # share of the frames of a curve that may be
 _FEWEST = 12  # frames that a curve needs for a factor of its own
 
 
@@ -192,7 +187,7 @@ class _Grid:
             logs.append(math.log(weight * share / len(prior.floors)))
         values = torch.tensor(rows, dtype=torch.float64)
         kept = _thinned(batch.mask)
-        return cls(near, prior, values, torch.tensor(logs, dtype=torch.float64), kept, _bends(batch, near.centre))
+        return cls(near, prior, values, torch.tensor(logs, dtype=torch.float64), kept, bends(batch, near.centre))
 
     def variance(self, values: Tensor) -> Tensor:
         """``J x E x T`` tensor, variance of the noise at scale 1, without that of deviations."""
@@ -298,43 +293,6 @@ class _Grid:
         return FrameNoise(law, laws_known, tuple(factors.tolist()), tuple(factor_sds.tolist()))
 
 
-def without_spikes(near: Neighbourhood) -> Bool[Tensor, "experiments frames"]:
-    """Frames without those that single errors of the camera have spoilt.
-
-    A frame is left out where the residual stands off the cubic through its neighbours by more than eight times what is usual
-    (in R* about that time, and over the law of the batch in the whole curve), by more than the fitted curve bends there, and
-    farther than any other frame; then the next one is looked for.
-
-    Args:
-        near: a fitted point; its batch holds curves of one repeat.
-    """
-    batch = near.posterior.batch
-    law, bends, kept = batch.sd(near.centre), _bends(batch, near.centre), batch.mask.clone()
-    for row in range(len(kept)):
-        most = max(1, int(_SPIKES * float(batch.mask[row].sum())))
-        for _ in range(most):
-            frames = torch.nonzero(kept[row])[:, 0]
-            if len(frames) < _FEWEST:
-                break
-            residual = (batch.mean - near.centre)[row, frames].unfold(0, 5, 1)
-            weights = lagrange_weights(batch.times[row, frames].unfold(0, 5, 1))
-            off = (weights * residual).sum(1).abs()
-            over_law = off / (weights * law[row, frames].unfold(0, 5, 1)).norm(dim=1)
-            own = torch.minimum(off / _running_median(off), over_law / over_law.median().clamp_min(1e-300))
-            own = torch.where(off > bends[row, frames][2:-2], own, 0.0)
-            worst = int(own.argmax())
-            if float(own[worst]) < _SPIKE:
-                break
-            kept[row, frames[worst + 2]] = False
-    return kept
-
-
-def _running_median(values: Tensor) -> Tensor:
-    """Median of each value and ten on either side, as many as there are at the ends; never zero."""
-    padded = torch.nn.functional.pad(values, (_AROUND, _AROUND), value=math.nan)
-    return padded.unfold(0, 2 * _AROUND + 1, 1).nanmedian(1).values.clamp_min(1e-300)
-
-
 def _balanced(law: Noise, balance: float) -> tuple[float, float]:
     """Slope and drift whose ratio is ``balance`` times that of a law."""
     if math.isinf(balance):
@@ -348,84 +306,3 @@ def _thinned(mask: Tensor) -> Tensor:
     """Frames that are used: all of short records."""
     stride = -(-int(mask.sum(1).max()) // _FRAMES)
     return mask & (torch.arange(mask.shape[1]) % stride == 0)
-
-
-def _bends(batch: ExperimentBatch, radius: Tensor) -> Tensor:
-    """How far a frame lies off the cubic through two neighbours on either side, the largest of three frames: ``E x T``."""
-    bends = torch.zeros_like(radius)
-    for row, (times, curve, mask) in enumerate(zip(batch.times, radius, batch.mask, strict=True)):
-        count = int(mask.sum())
-        if count < 5:
-            continue
-        t, r = times[:count].unfold(0, 5, 1), curve[:count].unfold(0, 5, 1)
-        off = (lagrange_weights(t) * r).sum(1).abs()
-        padded = torch.cat((off[:1].expand(3), off, off[-1:].expand(3)))
-        bends[row, :count] = padded.unfold(0, 3, 1).amax(1)
-    return bends
-
-
-def lagrange_weights(times: Float[Tensor, "windows 5"]) -> Float[Tensor, "windows 5"]:
-    """Weights of the frames of each window: 1 for the centre, minus Lagrange's basis at its time for the neighbours."""
-    weights, centre = torch.ones_like(times), times.shape[1] // 2
-    others = [i for i in range(times.shape[1]) if i != centre]
-    for i in others:
-        factors = [(times[:, centre] - times[:, j]) / (times[:, i] - times[:, j]) for j in others if j != i]
-        weights[:, i] = -torch.stack(factors).prod(0)
-    return weights
-
-
-def matern_whitened(
-    times: Float[Tensor, "experiments frames"],
-    mask: Bool[Tensor, "experiments frames"],
-    noise: Float[Tensor, "laws experiments frames"],
-    smooth: Float[Tensor, "laws"],
-    rates: Float[Tensor, "laws"],
-    columns: Float[Tensor, "columns experiments frames"],
-) -> tuple[Float[Tensor, "laws columns experiments frames"], Float[Tensor, "laws experiments"]]:
-    """Columns whitened under independent noise and a smooth Gaussian process, by Kalman filters side by side.
-
-    Args:
-        times: dimensionless, increasing.
-        mask: frames that count.
-        noise: variance of the independent noise.
-        smooth: variance of the process, whose covariance is ``(1 + x) exp(-x)`` of it, ``x`` the rate times the lag.
-        rates: of the process.
-        columns: what is whitened.
-
-    Returns:
-        The whitened columns, 0 where the mask is not set, and half the log determinants of the covariances.
-    """
-    count, experiments, frames = noise.shape
-    variance, rate = (x[:, None].expand(count, experiments) for x in (smooth, rates))
-    bent = variance * rate.square()  # of the process's derivative
-    value = torch.zeros(count, len(columns), experiments, dtype=torch.float64)
-    slope = torch.zeros_like(value)
-    p00, p01, p11 = variance, torch.zeros_like(variance), bent
-    seen = torch.zeros(count, len(columns), experiments, frames, dtype=torch.float64)
-    log_det = torch.zeros_like(variance)
-    gaps = torch.nn.functional.pad(times.diff(dim=1), (1, 0))
-    for k in range(frames):
-        if k:
-            x = rate * gaps[:, k]
-            decay = torch.exp(-x)
-            a00, a01 = decay * (1.0 + x), decay * gaps[:, k]
-            a10, a11 = -decay * rate * x, decay * (1.0 - x)
-            value, slope = (
-                a00[:, None] * value + a01[:, None] * slope,
-                a10[:, None] * value + a11[:, None] * slope,
-            )
-            q00, q11 = p00 - variance, p11 - bent  # what the last frame told, carried on to this one
-            p00, p01, p11 = (
-                variance + a00 * a00 * q00 + 2.0 * a00 * a01 * p01 + a01 * a01 * q11,
-                a00 * a10 * q00 + (a00 * a11 + a01 * a10) * p01 + a01 * a11 * q11,
-                bent + a10 * a10 * q00 + 2.0 * a10 * a11 * p01 + a11 * a11 * q11,
-            )
-        used = mask[:, k]
-        total = p00 + noise[:, :, k]
-        innovation = columns[None, :, :, k] - value
-        seen[..., k] = torch.where(used, innovation * total.rsqrt()[:, None], 0.0)
-        log_det = log_det + torch.where(used, 0.5 * total.log(), 0.0)
-        g0, g1 = torch.where(used, p00 / total, 0.0), torch.where(used, p01 / total, 0.0)
-        value, slope = value + g0[:, None] * innovation, slope + g1[:, None] * innovation
-        p00, p01, p11 = p00 - g0 * p00, p01 - g0 * p01, p11 - g1 * p01
-    return seen, log_det

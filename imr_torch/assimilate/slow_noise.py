@@ -13,7 +13,7 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.frame_noise import MATERN
+from imr_torch.assimilate.matern import MATERN
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import collapse_time
 

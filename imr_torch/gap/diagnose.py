@@ -11,8 +11,9 @@ from dataclasses import dataclass, field, replace
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Posterior
-from imr_torch.assimilate.frame_noise import infer_frame_noise, without_spikes
+from imr_torch.assimilate.frame_noise import infer_frame_noise
 from imr_torch.assimilate.noise_estimation import determines_noise
+from imr_torch.assimilate.spikes import without_spikes
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider

@@ -9,8 +9,9 @@ from scipy.stats import kstest
 
 from imr_torch.assimilate import FrameNoisePrior, Posterior, infer_frame_noise
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.frame_noise import MATERN, matern_whitened, without_spikes
+from imr_torch.assimilate.matern import MATERN, matern_whitened
 from imr_torch.assimilate.posterior import Neighbourhood
+from imr_torch.assimilate.spikes import without_spikes
 from imr_torch.gap import LIBRARY
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.goodness.linear import linearise_at

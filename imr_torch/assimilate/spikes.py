@@ -1,0 +1,80 @@
+"""Frames and their neighbours: how much a curve bends between them, and single frames that an error of the camera has spoilt.
+
+A frame is compared with the cubic through its two neighbours on either side, which takes out what a smooth curve does between
+frames.
+"""
+
+import math
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from imr_torch.assimilate.posterior import Neighbourhood
+from imr_torch.observe import ExperimentBatch
+
+_SPIKE = 8.0 * 1.482602  # times the median distance of a frame from its neighbours, beyond which it is spoilt
+_AROUND = 10  # frames on either side that say what is usual
+_SPIKES = 0.05  # share of the frames of a curve that may be
+_FEWEST = 12  # frames that a curve needs to be asked
+
+
+def bends(batch: ExperimentBatch, radius: Tensor) -> Tensor:
+    """How far a frame lies off the cubic through two neighbours on either side, the largest of three frames: ``E x T``."""
+    largest = torch.zeros_like(radius)
+    for row, (times, curve, mask) in enumerate(zip(batch.times, radius, batch.mask, strict=True)):
+        count = int(mask.sum())
+        if count < 5:
+            continue
+        t, r = times[:count].unfold(0, 5, 1), curve[:count].unfold(0, 5, 1)
+        off = (lagrange_weights(t) * r).sum(1).abs()
+        padded = torch.cat((off[:1].expand(3), off, off[-1:].expand(3)))
+        largest[row, :count] = padded.unfold(0, 3, 1).amax(1)
+    return largest
+
+
+def lagrange_weights(times: Float[Tensor, "windows 5"]) -> Float[Tensor, "windows 5"]:
+    """Weights of the frames of each window: 1 for the centre, minus Lagrange's basis at its time for the neighbours."""
+    weights, centre = torch.ones_like(times), times.shape[1] // 2
+    others = [i for i in range(times.shape[1]) if i != centre]
+    for i in others:
+        factors = [(times[:, centre] - times[:, j]) / (times[:, i] - times[:, j]) for j in others if j != i]
+        weights[:, i] = -torch.stack(factors).prod(0)
+    return weights
+
+
+def without_spikes(near: Neighbourhood) -> Bool[Tensor, "experiments frames"]:
+    """Frames without those that single errors of the camera have spoilt.
+
+    A frame is left out where the residual stands off the cubic through its neighbours by more than eight times what is usual
+    (in R* about that time, and over the law of the batch in the whole curve), by more than the fitted curve bends there, and
+    farther than any other frame; then the next one is looked for.
+
+    Args:
+        near: a fitted point; its batch holds curves of one repeat.
+    """
+    batch = near.posterior.batch
+    law, bent, kept = batch.sd(near.centre), bends(batch, near.centre), batch.mask.clone()
+    for row in range(len(kept)):
+        most = max(1, int(_SPIKES * float(batch.mask[row].sum())))
+        for _ in range(most):
+            frames = torch.nonzero(kept[row])[:, 0]
+            if len(frames) < _FEWEST:
+                break
+            residual = (batch.mean - near.centre)[row, frames].unfold(0, 5, 1)
+            weights = lagrange_weights(batch.times[row, frames].unfold(0, 5, 1))
+            off = (weights * residual).sum(1).abs()
+            over_law = off / (weights * law[row, frames].unfold(0, 5, 1)).norm(dim=1)
+            own = torch.minimum(off / _running_median(off), over_law / over_law.median().clamp_min(1e-300))
+            own = torch.where(off > bent[row, frames][2:-2], own, 0.0)
+            worst = int(own.argmax())
+            if float(own[worst]) < _SPIKE:
+                break
+            kept[row, frames[worst + 2]] = False
+    return kept
+
+
+def _running_median(values: Tensor) -> Tensor:
+    """Median of each value and ten on either side, as many as there are at the ends; never zero."""
+    padded = torch.nn.functional.pad(values, (_AROUND, _AROUND), value=math.nan)
+    return padded.unfold(0, 2 * _AROUND + 1, 1).nanmedian(1).values.clamp_min(1e-300)
