@@ -80,6 +80,15 @@ class FrameNoise:
         laws: the posterior.
         factors: of each experiment, its noise over the law; 1 where it is that of the others.
         factor_sds: standard deviations of their logarithms.
+
+    >>> import torch
+    >>> from imr_torch.assimilate import FrameNoise
+    >>> from imr_torch.observe import Experiment, ExperimentBatch, Noise, NoiseLaws
+    >>> times, one = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64), torch.ones(1, dtype=torch.float64)
+    >>> shots = tuple(Experiment(f"shot {k}", (400.0, 0.22), times, torch.ones(1, 3)) for k in range(2))
+    >>> noise = FrameNoise(Noise(scale=1.2), NoiseLaws((Noise(scale=1.2),), one, 0.1 * one), (1.0, 3.0), (0.0, 0.2))
+    >>> [e.noise_factor for e in noise.applied(ExperimentBatch(shots)).curves]
+    [1.0, 3.0]
     """
 
     law: Noise
@@ -102,6 +111,21 @@ def infer_frame_noise(near: Neighbourhood, prior: FrameNoisePrior | None = None)
     Args:
         near: the fitted point with its local sensitivities; its batch holds curves only.
         prior: of the law.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.assimilate import Posterior, SearchOptions, assimilate, infer_frame_noise
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, Noise, SimulatedLaboratory
+    >>> simulator, design = PolytropicSimulator(), torch.tensor([400.0, 0.22], dtype=torch.float64)
+    >>> gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
+    >>> shot = SimulatedLaboratory(simulator, gel, noise=Noise(scale=2.0), repeats=1).shoot(design, seed=0)
+    >>> batch, options = ExperimentBatch((shot,)), SearchOptions(raw_samples=16, starts=2)
+    >>> fit = assimilate(wide_prior(["nhkv"]), batch, simulator, seed=0, options=options)["nhkv"]
+    >>> found = infer_frame_noise(Posterior(fit.prior, batch, simulator).neighbourhood(fit.point))
+    >>> low, middle, high = found.applied(batch).noise_interval(fit.prediction)  # R*, median frame
+    >>> low < float(Noise(scale=2.0).sd(fit.prediction, batch.times).median()) < high
+    True
     """
     prior, batch = prior or FrameNoisePrior(), near.posterior.batch
     if all(e.repeats > 1 for e in batch.curves):
