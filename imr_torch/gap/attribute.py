@@ -353,21 +353,21 @@ def _converged_winner(
     was ``sampled``.
     """
     batch, simulator = problem.inquiry.batch, problem.inquiry.simulator
-    left_out: list[str] = []
+    continued, left_out = set[str](), list[str]()
     while True:
         winner = _winner(problem, evidence)
         if fits[winner].certificate.converged:
             break
-        finished = finish(fits[winner], batch, simulator, seed=child(seed, "finish"), progress=progress)
-        fits[winner] = finished
-        if winner not in sampled:
-            evidence[winner] = laplace_evidence(finished)
-        if winner != _winner(problem, evidence):
-            continue
-        if finished.certificate.usable or len(evidence) == 2 or len(left_out) == _MOST_LEFT_OUT:
+        if winner not in continued:
+            continued.add(winner)
+            fits[winner] = finish(fits[winner], batch, simulator, seed=child(seed, "finish"), progress=progress)
+            if winner not in sampled:
+                evidence[winner] = laplace_evidence(fits[winner])
+        elif fits[winner].certificate.usable or len(evidence) == 2 or len(left_out) == _MOST_LEFT_OUT:
             break
-        left_out.append(winner)
-        del evidence[winner]
+        else:
+            left_out.append(winner)
+            del evidence[winner]
     return winner, tuple(left_out)
 
 

@@ -124,7 +124,8 @@ def diagnose(
         effects: the library to choose from; all that can be put on the base by default.
         noise: law of one repeat's noise; the published one by default.
         estimate_noise: whether the law is inferred from the curves about the fit of the base model, with ``noise`` to begin
-            with (:func:`imr_torch.assimilate.infer_frame_noise`); tests and probabilities are then averaged over it.
+            with (:func:`imr_torch.assimilate.infer_frame_noise`); tests and probabilities are then averaged over it. Where the
+            fit leaves fewer than ten degrees of freedom, ``noise`` is kept.
         simulator: makes the bubbles; full physics by default.
         most: effects that are selected one after the other, at most.
         seed: of every random number.
@@ -153,7 +154,7 @@ def diagnose(
     batch = ExperimentBatch(tuple(experiments), noise or Noise())
     null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
     spoilt = dict[str, int]()
-    if estimate_noise:
+    if estimate_noise and determines_noise(null, batch):
         batch, spoilt = _without_spikes(null, base, batch, simulator)
         null, batch = _with_inferred_noise(null, base, batch, simulator, seed=child(seed, "noise"), progress=progress)
     base_left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
@@ -200,12 +201,7 @@ def _without_spikes(
 def _with_inferred_noise(
     null: ModelFit, base: ModelBelief, batch: ExperimentBatch, simulator: Simulator, *, seed: int, progress: Progress | None
 ) -> tuple[ModelFit, ExperimentBatch]:
-    """The base model's fit under the noise that is inferred about it, and the data with that noise.
-
-    The noise stays as it is where the fit leaves too few degrees of freedom for it to be inferred.
-    """
-    if not determines_noise(null, batch):
-        return null, batch
+    """The base model's fit under the noise that is inferred about it, and the data with that noise."""
     for number in range(_NOISE_ROUNDS):
         near = Posterior(base, batch, simulator).neighbourhood(null.point)
         batch = infer_frame_noise(near).applied(batch)

@@ -3,7 +3,7 @@
 An unknown effect has prior odds against the known ones, and the Bayes factor of how much the best of them leaves unexplained
 (:mod:`imr_torch.gap.lookalike`); so the probability of "other" and the adequacy of the leading effect are one thing. Where the
 noise is inferred from single curves, noise of the camera that lasts several frames is a cause of its own; an unknown effect may
-look like it, but moves all shots alike (:mod:`imr_torch.assimilate.slow_noise`). The verdict names the set of causes of least
+look like it, or move all shots alike (:mod:`imr_torch.assimilate.slow_noise`). The verdict names the set of causes of least
 expected loss: a truth outside the set costs 1, every further member .1, and to stay undecided .35. So a cause is a member where
 its probability exceeds .1, and an unknown effect is one like any other.
 """
@@ -95,8 +95,8 @@ def probabilities(
         bayes_factor: of an unknown effect over the leading one, by what that leaves unexplained.
         odds: prior odds of an unknown effect against the known ones.
         masked: beside selected effects, the chance that these alone did not explain an unknown effect.
-        smooth: log evidence, nats, of smooth deviations that differ between shots (noise of the camera that lasts several
-            frames) and of those that are alike in all (an unknown effect).
+        smooth: log evidence, nats, of smooth deviations that differ between shots and of those that are alike in all. Noise of
+            the camera that lasts several frames makes the first kind, an unknown effect either, with equal probability.
     """
     prefix = "+".join(effect.name for effect in with_)
     families = [effect.family for effect in effects]
@@ -105,7 +105,7 @@ def probabilities(
     if smooth is not None:
         slow = PRIOR_SLOW * known
         known -= slow
-        unknown = math.log(slow * odds) + smooth[1]
+        unknown = math.log(slow * odds) + max(smooth) + math.log(0.5 + 0.5 * math.exp(-abs(smooth[0] - smooth[1])))
     logs = {}
     for effect in effects:
         name = f"{prefix}+{effect.name}" if prefix else effect.name
