@@ -9,7 +9,7 @@ errors of Rmax, time zero and R_inf. They are read as a laboratory's curves are:
 itself, R_inf as stated, everything else by default. The kinds of noise are those of `NOISES`; `effect` has an effect of the
 library and the published noise times .4. `labelled` takes sets of a separate program (one repeat of each, and the mean of all
 repeats as one curve, which has the noise of one over the root of their number). Each line has the p-value by the inferred noise
-and by the true one. `characterize` runs on every fifth set without an effect. A run that was cut off continues.
+and by the true one. `characterize` runs on every fifth set without an effect (`--every`). A run that was cut off continues.
 """
 
 import argparse
@@ -45,7 +45,6 @@ TRUTH = TransportSimulator(accuracy=Accuracy(1e-6, Resolution(24, 28), max_steps
 FITS = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
 BASE = wide_prior(("nhkv",)).models[0]
 SHOTS, LENGTH = 3, 4.0
-EVERY = 5  # of the sets without an effect is characterised too
 _DENSE = 801
 
 Curve = tuple[Tensor, Tensor, Noise]
@@ -132,7 +131,7 @@ def trace(name: str, times: Tensor, radius: Tensor, weber: float, rest: float) -
     """A dimensionless curve as a laboratory stores it, with R_inf stated, impossible frames left out as the reader does."""
     size = float(Surroundings().max_radius(torch.tensor(weber, dtype=torch.float64)))
     seen = radius * size > 1e-7
-    given = Given(rest_radius_m=rest * size, rest_radius_sd_m=0.01 * rest * size)
+    given = Given(rest_radius_m=rest * size, rest_radius_sd_m=0.01 * rest * size, rest_settled=True)
     time_s = times * float(Surroundings().time_scale(size))
     return RadiusTrace(name, time_s[seen], radius[seen] * size, "simulated", given)
 
@@ -148,7 +147,7 @@ def labelled(folder: Path) -> Iterator[tuple[str, TraceSet, Noise, dict[str, Any
             for shot, (t, r, rest) in enumerate(zip(loaded["time_s"], loaded["radius_m"], loaded["rinf_star"], strict=True)):
                 radius = torch.tensor(pick(r))
                 seen, size = radius > 1e-7, float(r.mean(0).max())
-                given = Given(rest_radius_m=rest * size, rest_radius_sd_m=0.01 * rest * size)
+                given = Given(rest_radius_m=rest * size, rest_radius_sd_m=0.01 * rest * size, rest_settled=True)
                 traces.append(RadiusTrace(f"shot {shot}", torch.tensor(t)[seen], radius[seen], name, given))
             law = Noise() if kind == "one repeat" else Noise(scale=repeats**-0.5)
             yield f"{kind}/{name}", TraceSet(tuple(traces)), law, truth
@@ -222,7 +221,12 @@ def tasks(args: argparse.Namespace) -> Iterator[tuple[str, Callable[[], dict[str
         def work(number: int = number, kind: str = kind) -> dict[str, Any]:
             traces, laws, truth = simulated(number, kind)
             found = row(f"{kind}/{number}", kind, traces, truth, with_noise(laws))
-            if kind not in ("effect", "slow") and (number // len(kinds)) % EVERY == 0 and "refused" not in found:
+            if (
+                kind not in ("effect", "slow")
+                and args.every
+                and (number // len(kinds)) % args.every == 0
+                and "refused" not in found
+            ):
                 found |= characterized(traces, truth, number)
             return found
 
@@ -291,6 +295,7 @@ def main() -> None:
     parser.add_argument("--json", default="single_curves.jsonl")
     parser.add_argument("--sets", type=int, default=200)
     parser.add_argument("--only", help="kinds, separated by commas")
+    parser.add_argument("--every", type=int, default=5, help="of the sets without an effect is characterised too; 0: none")
     parser.add_argument("--part", default="0/1", help="this part of so many, for several processes")
     args = parser.parse_args()
     path = Path(args.json)
