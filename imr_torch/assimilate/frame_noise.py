@@ -46,6 +46,8 @@ class FrameNoisePrior:
         floors: constant parts at scale 1, R*.
         level: prior median of the noise, root mean square over all frames in R*, and the standard deviation of its logarithm,
             which matters where there are few frames.
+        few: frames in all below which the noise is no less than ``law``: amounts read off a handful of frames may be several
+            times too small by chance.
         least: smallest constant part, R*: bubbles are not computed more exactly than that.
         amounts: standard deviation of the smooth deviation, over that of the noise.
         durations: lag at which its correlation has fallen to 1/e, t*; never less than 2.5 frames.
@@ -63,6 +65,7 @@ class FrameNoisePrior:
     balances: tuple[tuple[float, float], ...] = ((0.0, 0.1), (1.0 / 3.0, 0.15), (1.0, 0.5), (3.0, 0.15), (math.inf, 0.1))
     floors: tuple[float, ...] = tuple(0.0005 * 2.0**k for k in range(8))
     level: tuple[float, float] = (0.004, 1.5)
+    few: int = 40
     least: float = 0.0003
     amounts: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
     durations: tuple[float, ...] = (0.14, 0.3, 0.6, 1.2)
@@ -312,8 +315,13 @@ class _Grid:
         batch, radius = self.near.posterior.batch, self.near.centre
         logs = torch.stack([law.sd(radius, batch.times)[self.rows].log() for law in chosen])
         best = int(share.argmax())
-        shift = float((share @ logs - logs[best]).mean())
-        law = replace(chosen[best], scale=chosen[best].scale * math.exp(shift))
+        centre = (share @ logs).mean()
+        raised = 0.0
+        if int(self.rows.sum()) < self.prior.few:
+            raised = max(0.0, float(self.prior.law.sd(radius, batch.times)[self.rows].log().mean() - centre))
+            raised_laws = tuple(replace(law, scale=law.scale * math.exp(raised)) for law in chosen)
+            laws_known = replace(laws_known, laws=raised_laws)
+        law = replace(chosen[best], scale=chosen[best].scale * math.exp(float(centre - logs[best].mean()) + raised))
         return FrameNoise(law, laws_known, tuple(factors.tolist()), tuple(factor_sds.tolist()))
 
 

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Posterior
 from imr_torch.assimilate.frame_noise import infer_frame_noise
-from imr_torch.assimilate.noise_estimation import determines_noise
 from imr_torch.assimilate.spikes import without_spikes
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
@@ -124,8 +123,8 @@ def diagnose(
         effects: the library to choose from; all that can be put on the base by default.
         noise: law of one repeat's noise; the published one by default.
         estimate_noise: whether the law is inferred from the curves about the fit of the base model, with ``noise`` to begin
-            with (:func:`imr_torch.assimilate.infer_frame_noise`); tests and probabilities are then averaged over it. Where the
-            fit leaves fewer than ten degrees of freedom, ``noise`` is kept.
+            with (:func:`imr_torch.assimilate.infer_frame_noise`); tests and probabilities are then averaged over it. Of
+            fewer than 40 frames it is no less than the published law.
         simulator: makes the bubbles; full physics by default.
         most: effects that are selected one after the other, at most.
         seed: of every random number.
@@ -154,7 +153,7 @@ def diagnose(
     batch = ExperimentBatch(tuple(experiments), noise or Noise())
     null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
     spoilt = dict[str, int]()
-    if estimate_noise and determines_noise(null, batch):
+    if estimate_noise:
         batch, spoilt = _without_spikes(null, base, batch, simulator)
         null, batch = _with_inferred_noise(null, base, batch, simulator, seed=child(seed, "noise"), progress=progress)
     base_left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))

@@ -157,6 +157,16 @@ def test_that_spoilt_frames_are_left_out_and_no_others():
     )  # collapses at the wrong time are no spikes
 
 
+def test_that_a_handful_of_frames_is_not_taken_for_quiet():
+    """Amounts read off a dozen frames may be a quarter of the truth; a dozen loud ones are believed."""
+    quiet = curves(Noise(scale=0.2), spacing=0.2)
+    short = replace(quiet, experiments=tuple(e.until(0.9) for e in quiet.curves))
+    assert over_truth(short, Noise()) == pytest.approx(1.0, abs=1e-6)
+    loud = curves(Noise(scale=6.0), spacing=0.1)
+    assert over_truth(replace(loud, experiments=tuple(e.until(0.9) for e in loud.curves)), Noise()) > 2.0
+    assert over_truth(quiet, Noise()) < 1.0  # 42 frames
+
+
 def test_that_repeats_decide_where_there_are_some():
     source, times = generator(2), torch.arange(0.0, 2.6, 0.04, dtype=torch.float64)
     noise, shots = Noise(scale=1.5, correlation_time=0.1), []
