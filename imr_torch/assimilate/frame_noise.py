@@ -319,8 +319,7 @@ class _Grid:
         raised = 0.0
         if int(self.rows.sum()) < self.prior.few:
             raised = max(0.0, float(self.prior.law.sd(radius, batch.times)[self.rows].log().mean() - centre))
-            raised_laws = tuple(replace(law, scale=law.scale * math.exp(raised)) for law in chosen)
-            laws_known = replace(laws_known, laws=raised_laws)
+            laws_known = replace(laws_known, laws=tuple(replace(law, scale=law.scale * math.exp(raised)) for law in chosen))
         law = replace(chosen[best], scale=chosen[best].scale * math.exp(float(centre - logs[best].mean()) + raised))
         return FrameNoise(law, laws_known, tuple(factors.tolist()), tuple(factor_sds.tolist()))
 

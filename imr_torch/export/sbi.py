@@ -131,7 +131,8 @@ class SbiSimulator:
         shifts = torch.randn(*shape[:2], 3, generator=self._source, dtype=torch.float64) * self.batch.nuisance_sds
         clean = predict(self.simulator, parameters, self.batch, shifts if bool((shifts != 0.0).any()) else None)
         noise = torch.randn(shape, generator=self._source, dtype=torch.float64)
-        seen = clean + self.batch.noise.sd(clean, self.batch.times) * self._correlated(noise)
+        sd = self.batch.noise.sd(clean, self.batch.times) * self.batch.noise_factors
+        seen = clean + sd * self._correlated(noise)
         seen = torch.where(torch.isnan(seen).flatten(1).any(1)[:, None, None], torch.nan, seen)
         return seen.flatten(1).to(self.dtype).reshape(*theta.shape[:-1], -1)
 

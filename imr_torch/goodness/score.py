@@ -225,9 +225,8 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     ranks = [b.directions.shape[1] for b in tested]
     statistics = [(rows @ b.directions).square().sum(1) for b in tested]
     scales = [(ratios[:_LAWS_DRAWN].square() @ b.directions.square()).mean(1) for b in tested]
-    if (
-        line.batch.noise_laws is None or not tested
-    ):  # noise that was inferred from these residuals cannot judge their sum of squares
+    # noise that was inferred from these residuals cannot judge their sum of squares
+    if line.batch.noise_laws is None or not tested:
         names, sizes = [*names, EVERYTHING], [*sizes, math.nan]
         ranks.append(int(line.batch.mask.sum()))  # as many as frames, since every fitted direction has a prior
         statistics.append(rows.square().sum(1))
