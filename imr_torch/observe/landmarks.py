@@ -27,6 +27,9 @@ NOISE_RANGE = (0.002, 0.02)
 DEFAULT_NOISE = 0.005
 PRIOR_WEIGHT = 3.0
 REVERSAL = 6.0
+LOCAL_REVERSAL = 4.5
+"""Of the noise of the frames around: noise that grows with time would make cycles of its own in the tail of a record."""
+LOCAL_FRAMES = 25
 RINGING_POWER = 2.0 / 3.0
 """Of (smallest x largest radius of a cycle / mean^2), times the mean: the rest radius of a bubble that still rings. Fitted to
 1200 simulated bubbles with heat and vapour transport (We 100-1500, R_inf* .08-.45, G .1-30 kPa, mu .003-.2 Pa s)."""
@@ -34,6 +37,8 @@ RINGING_SD = 0.2
 """Largest relative standard deviation that the ringing adds: that of this fit."""
 MIN_RINGING_SD = 0.10
 MIN_PARTIAL_SD = 0.30
+NOISY_TAIL = 1.2
+"""A tail that scatters by no more than this times the noise of its frames has settled."""
 MIN_STATED_SD = 0.01
 EDGE_SD = 0.01
 START_WINDOWS = (0.8, 0.9)
@@ -181,9 +186,14 @@ def _frame_noise(radius: np.ndarray) -> float:
     top = float(radius.max())
     if len(radius) < 12:
         return DEFAULT_NOISE * top
-    third = np.abs(np.diff(radius, 3))
-    sd = 1.4826 * float(np.median(third)) / math.sqrt(20.0)
-    return float(np.clip(sd, NOISE_RANGE[0] * top, NOISE_RANGE[1] * top))
+    return float(np.clip(_roughness(radius), NOISE_RANGE[0] * top, NOISE_RANGE[1] * top))
+
+
+def _roughness(radius: np.ndarray) -> float:
+    """Standard deviation of a frame by the median third difference, which a local parabola does not change."""
+    if len(radius) < 6:
+        return 0.0
+    return 1.4826 * float(np.median(np.abs(np.diff(radius, 3)))) / math.sqrt(20.0)
 
 
 def _window(radius: np.ndarray, k: int, keep: np.ndarray) -> slice:
@@ -325,7 +335,7 @@ def _extremes(time: np.ndarray, radius: np.ndarray, noise: float) -> tuple[list[
     """Minima and maxima after the main maximum, alternating; a reversal smaller than the noise is none."""
     minima: list[_Extreme] = []
     maxima: list[_Extreme] = []
-    turns = _turning_points(radius, int(radius.argmax()), REVERSAL * noise)
+    turns = _turning_points(radius, int(radius.argmax()), noise)
     for i, (k, sign) in enumerate(turns):
         low, high = (
             (turns[i - 1][0] if i else int(radius.argmax())),
@@ -342,14 +352,19 @@ def _extremes(time: np.ndarray, radius: np.ndarray, noise: float) -> tuple[list[
     return minima, maxima
 
 
-def _turning_points(radius: np.ndarray, start: int, threshold: float) -> list[tuple[int, int]]:
-    """Frames where the curve turns by more than ``threshold``, each with +1 (maximum) or -1 (minimum)."""
+def _turning_points(radius: np.ndarray, start: int, noise: float) -> list[tuple[int, int]]:
+    """Frames where the curve turns by more than the noise can, each with +1 (maximum) or -1 (minimum)."""
     turns: list[tuple[int, int]] = []
+    places = np.arange(len(radius)) - LOCAL_FRAMES // 2
+    last = max(len(radius) - LOCAL_FRAMES, 0)
+    near = [radius[k : k + LOCAL_FRAMES] for k in places.clip(0, last)]
+    local = np.array([_roughness(some) if len(some) >= LOCAL_FRAMES else noise for some in near])
+    threshold = np.maximum(REVERSAL * noise, LOCAL_REVERSAL * local)
     sign, best = -1, start
     for i in range(start + 1, len(radius)):
         if sign * (radius[i] - radius[best]) > 0.0:
             best = i
-        elif sign * (radius[best] - radius[i]) > threshold:
+        elif sign * (radius[best] - radius[i]) > threshold[i]:
             if best > start:
                 turns.append((best, sign))
                 sign = -sign
@@ -379,13 +394,17 @@ def _rest(
     # A quiet tail shorter than half a cycle may be the flat top of a rebound.
     quiet = float(time[-1]) - min(float(time[-count:][0]), turns[-1])
     long_enough = len(turns) == 1 or quiet >= float(np.median(np.diff(turns)))
-    if came_down and long_enough and scatter / mean < settled_below:
-        drift = 0.5 * abs(float(tail[: count // 2].mean() - tail[count // 2 :].mean()))
+    came_to_rest = came_down and long_enough
+    drift = 0.5 * abs(float(tail[: count // 2].mean() - tail[count // 2 :].mean()))
+    if came_to_rest and scatter < settled_below * mean:
         return mean, math.hypot(scatter, drift), True, "settled tail"
-    stated, stated_sd = trace.given.rest_radius_m, trace.given.rest_radius_sd_m or 0.0
-    if stated is not None and trace.given.rest_settled:  # measured after the record: better than a bubble that still oscillates
-        return stated, max(stated_sd, MIN_STATED_SD * stated), True, "as given"
-    if maxima:
+    stated, stated_sd, settled = trace.given.rest_radius_m, trace.given.rest_radius_sd_m or 0.0, trace.given.rest_settled
+    if stated is not None and settled is not False:  # better than what a bubble shows that still oscillates
+        floor = MIN_STATED_SD if settled or stated_sd else MIN_RINGING_SD
+        return stated, max(stated_sd, floor * stated), True, "as given"
+    if came_to_rest and scatter < NOISY_TAIL * _roughness(tail):  # ringing that the noise may hide
+        return mean, math.hypot(scatter, drift, MIN_RINGING_SD * mean), True, "settled tail"
+    if maxima or (minima and time[-1] - minima[0].time > minima[0].time - turns[0]):
         first, last, method = _last_cycles(time, minima, maxima)
         inside = (time >= first) & (time <= last)
         if inside.sum() >= 3:
@@ -404,8 +423,10 @@ def _rest_while_ringing(time: np.ndarray, radius: np.ndarray) -> tuple[float, fl
     (its mean radius is half as large again where the first rebounds are all that was recorded).
     """
     mean = float(np.trapezoid(radius, time) / (time[-1] - time[0]))
-    excess = -RINGING_POWER * math.log(float(radius.min() * radius.max()) / mean**2)
-    return mean * math.exp(-excess), min(abs(excess), RINGING_SD)
+    low, high = float(radius.min()), float(radius.max())
+    excess = -RINGING_POWER * math.log(low * high / mean**2)
+    by_noise = RINGING_POWER * _roughness(radius) * math.hypot(1.0 / low, 1.0 / high)
+    return mean * math.exp(-excess), math.hypot(min(abs(excess), RINGING_SD), by_noise)
 
 
 def _last_cycles(time: np.ndarray, minima: list[_Extreme], maxima: list[_Extreme]) -> tuple[float, float, str]:

@@ -48,12 +48,13 @@ _SHORTEST, _LONGEST = 0.1, 3.0  # t* that a record without a collapse may last
 _DENSE = 0.15  # t* between frames, within which no bubble falls by a quarter from its maximum
 
 
-def check_experiment(experiment: Experiment, where: str, *, remedy: str = "") -> tuple[str, ...]:
+def check_experiment(experiment: Experiment, where: str, *, first: float | None = None, remedy: str = "") -> tuple[str, ...]:
     """Refuse an experiment that cannot be one of a bubble, and say what is unusual about one that can.
 
     Args:
         experiment: from its maximum radius on.
         where: file and name, for messages.
+        first: t* of its first collapse, infinite where there is none; that of :func:`collapse_time` when not given.
         remedy: what else may be wrong than the units of radius and time.
 
     Returns:
@@ -72,7 +73,8 @@ def check_experiment(experiment: Experiment, where: str, *, remedy: str = "") ->
     advice = f" Check the units of radius and time{', ' + remedy if remedy else ''}."
     times, radius = experiment.times, torch.nanmean(experiment.radius, 0)
     largest, at = float(radius.max()), float(times[int(radius.argmax())])
-    first, last = collapse_time(times, radius, 1), float(times[-1])
+    first = collapse_time(times, radius, 1) if first is None else first
+    last = float(times[-1])
     if at > max(_LATEST_MAXIMUM, _FRAMES * float(times.diff()[:1].sum())):
         raise InputDataError(
             f"{where}: the largest frame is at t* = {at:.2f}; expected time zero at the maximum radius, within "

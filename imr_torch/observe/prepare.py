@@ -1,6 +1,7 @@
 """From curves in SI units to the dimensionless, windowed experiments that are fitted, with what was found on the way."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imr_torch.errors import InputDataError
@@ -9,7 +10,6 @@ from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.plausibility import RAYLEIGH_TIME, check_experiment, check_maximum
 from imr_torch.observe.traces import RadiusTrace, TraceSet
-from imr_torch.observe.window import collapse_time
 from imr_torch.units import Surroundings
 
 _MIN_FRAMES = 5
@@ -103,19 +103,60 @@ def prepare(
         outer = surroundings or Surroundings()
         cautions += check_maximum(trace, marks, outer)
         whole = to_experiment(trace, marks, outer, rest_radius=rest_radius)
-        cautions += check_experiment(whole, where)
+        first = _collapse(whole, marks, outer, 1)
+        cautions += check_experiment(whole, where, first=first)
         window = _window(trace, whole, marks, outer, collapses)
         experiments.append(window)
         landmarks[name] = marks
         frames[name] = len(trace), len(trace) - len(whole.times), len(whole.times) - len(window.times)
-        firsts[name] = collapse_time(whole.times, whole.radius[0], 1)
+        firsts[name] = first
+    cautions += _outvoted(experiments)
+    cautions += () if rest_radius else _passed_over(traces, landmarks)
     return Prepared(tuple(experiments), landmarks, frames, firsts, rest_radius is not None, tuple(cautions))
+
+
+def _collapse(whole: Experiment, marks: Landmarks, surroundings: Surroundings, number: int) -> float:
+    """Dimensionless time of the lowest frame of a collapse (1 is the first); infinite where the record does not hold it."""
+    if len(marks.collapse_times_s) < number:
+        return math.inf
+    at = (marks.collapse_times_s[number - 1] - marks.time_of_max_s) / float(surroundings.time_scale(marks.max_radius_m))
+    near = (whole.times - at).abs().argsort()[:2]
+    return float(whole.times[near[whole.radius[0, near].argmin()]])
+
+
+def _passed_over(traces: TraceSet, landmarks: dict[str, Landmarks]) -> list[str]:
+    """Says which stated rest radii are not used though the record's is another, and why."""
+    reasons: dict[str, list[str]] = {}
+    for trace in traces:
+        stated, marks = trace.given.rest_radius_m, landmarks[trace.experiment_id]
+        if stated is None or marks.rest_radius_m is None or marks.rest_method in ("as given", "as stated"):
+            continue
+        if abs(stated - marks.rest_radius_m) > 2.0 * (marks.rest_radius_sd_m or 0.0):
+            settled = marks.rest_method == "settled tail"
+            why = "the record holds a settled tail" if settled else "it is stated that the bubble had not settled"
+            reasons.setdefault(why, []).append(f"'{trace.experiment_id}'")
+    return [
+        f"The stated R_inf of {', '.join(names)} is not used, since {why}. To use it, state it as an override."
+        for why, names in reasons.items()
+    ]
+
+
+def _outvoted(experiments: Sequence[Experiment]) -> tuple[str, ...]:
+    """Says where one of several curves has more frames than all others together."""
+    counts = [len(e.times) for e in experiments]
+    if len(counts) < 3 or 2 * max(counts) <= sum(counts):
+        return ()
+    largest = experiments[counts.index(max(counts))]
+    return (
+        f"experiment '{largest.label}' has {max(counts)} of the {sum(counts)} frames that are fitted and so decides the result; "
+        "state the end of its window if it should not.",
+    )
 
 
 def _window(trace: RadiusTrace, whole: Experiment, marks: Landmarks, surroundings: Surroundings, collapses: int) -> Experiment:
     """The frames that are fitted: up to the stated end of the window, else up to a collapse."""
     override, last = trace.given.override, f"collapse {collapses}"
-    end, remedy = collapse_time(whole.times, whole.radius[0], collapses), "Raise the number of collapses, or leave it out."
+    end, remedy = _collapse(whole, marks, surroundings, collapses), "Raise the number of collapses, or leave it out."
     if override is not None and override.window_end_s is not None:
         end = (override.window_end_s - marks.time_of_max_s) / float(surroundings.time_scale(marks.max_radius_m))
         last = f"the stated end of the window at {1e6 * override.window_end_s:.4g} us"

@@ -304,3 +304,25 @@ def test_that_the_collapses_agree_with_those_marked_by_the_laboratory(shared: Pa
     found, said = both(shared, "pa_soft_A_E2_002")[0]
     marked = 6.30000233e-7 * np.array(said["source_collapse_frame_indices_1based"])
     np.testing.assert_allclose(found.collapse_times_s[: len(marked)], marked, atol=1.0e-6)
+
+
+def test_that_noise_in_the_tail_makes_no_cycles_of_which_the_rest_radius_is_taken() -> None:
+    """Noise that grows with time, as the published law does: errors stay within what is stated."""
+    rng, errors = np.random.default_rng(11), []
+    for _ in range(100):
+        time = frames(80)
+        radius = ringing(time, tau=8e-6)
+        radius = radius + TOP * (0.01 + 0.03 * time / time[-1]) * rng.standard_normal(len(time))
+        found = find_landmarks(trace(time, np.clip(radius, 1e-7, None)))
+        if found.rest_radius_m is not None and found.rest_radius_sd_m is not None:
+            errors.append((found.rest_radius_m - REST) / found.rest_radius_sd_m)
+    assert len(errors) >= 95
+    assert np.mean(np.abs(errors) > 2.0) <= 0.05
+
+
+@pytest.mark.parametrize(("given", "method"), [({}, "as given"), ({"rest_settled": False}, "last cycles")])
+def test_that_a_stated_rest_radius_counts_before_a_bubble_that_rings(given: dict[str, bool], method: str) -> None:
+    time = frames(150)
+    found = find_landmarks(trace(time, ringing(time), Given(rest_radius_m=1.3 * REST, **given)))
+    assert found.rest_method == method
+    assert (found.rest_radius_m == 1.3 * REST) == (method == "as given")

@@ -131,7 +131,8 @@ def test_that_measured_curves_pass(shared: Path) -> None:
                 except ImrError as short:
                     assert "at least 5 are needed" in str(short), short  # noqa: PT017
                     continue
-            counts[file.stem] = counts.get(file.stem, 0) + len(found.cautions)
+            cautions = [text for text in found.cautions if "stated R_inf" not in text]
+            counts[file.stem] = counts.get(file.stem, 0) + len(cautions)
     assert len(counts) >= 20
     assert {name for name, count in counts.items() if count > 1} <= {"agarose_5pct", "pegda_s4", "pegda_s5"}  # stiff gels
 

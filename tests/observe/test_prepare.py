@@ -1,0 +1,37 @@
+"""What is fitted of a record, by curves whose collapses are known."""
+
+import numpy as np
+import torch
+
+from imr_torch.observe import Given, RadiusTrace, TraceSet, prepare
+
+TOP, REST, PERIOD = 2e-4, 1.0e-4, 4e-5
+
+
+def damped(name: str, damping: float, given: Given = Given()) -> RadiusTrace:  # noqa: B008
+    """Collapses at .5, 1.5, ... periods; after each half a period the swing is down by a factor ``exp(-damping/2)``."""
+    time = np.linspace(0.0, 5.0 * PERIOD, 251)
+    swing = (TOP - REST) * np.exp(-damping * time / PERIOD)
+    noise = 2e-4 * TOP * np.random.default_rng(0).standard_normal(len(time))
+    radius = REST + swing * np.cos(2.0 * np.pi * time / PERIOD) + noise
+    return RadiusTrace(name, torch.tensor(time), torch.tensor(radius), "memory", given)
+
+
+def test_that_the_window_ends_at_a_second_collapse_that_is_small_and_plain() -> None:
+    """The second minimum is followed by a rise of .02 of Rmax, a thirtieth of the range of the curve."""
+    prepared = prepare(TraceSet((damped("small", 2.0), damped("large", 0.4))))
+    ends = [float(e.times[-1] / e.times[1]) * 8e-7 / PERIOD for e in prepared.experiments]
+    assert all(1.4 < end < 1.56 for end in ends)
+
+
+def test_that_a_curve_with_most_of_the_frames_is_named() -> None:
+    short = [damped(f"short {k}", 0.4) for k in range(2)]
+    open_window = damped("open", 8.0)  # no second collapse is seen
+    assert any("experiment 'open' has" in text for text in prepare(TraceSet((*short, open_window))).cautions)
+    assert not any("so decides" in text for text in prepare(TraceSet((*short, damped("third", 0.4)))).cautions)
+
+
+def test_that_a_stated_rest_radius_that_is_passed_over_is_said() -> None:
+    ringing = damped("ringing", 0.1, Given(rest_radius_m=1.8 * REST, rest_settled=False))
+    (text,) = (c for c in prepare(TraceSet((ringing,))).cautions if "stated R_inf" in c)
+    assert "'ringing' is not used, since it is stated that the bubble had not settled" in text
