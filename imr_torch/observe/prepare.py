@@ -148,7 +148,7 @@ def _outvoted(experiments: Sequence[Experiment]) -> tuple[str, ...]:
         return ()
     largest = experiments[counts.index(max(counts))]
     return (
-        f"experiment '{largest.label}' has {max(counts)} of the {sum(counts)} frames that are fitted and so decides the result; "
+        f"experiment '{largest.label}' has {max(counts)} of the {sum(counts)} frames that are fitted and decides the result; "
         "state the end of its window if it should not.",
     )
 

@@ -28,7 +28,7 @@ def test_that_a_curve_with_most_of_the_frames_is_named() -> None:
     short = [damped(f"short {k}", 0.4) for k in range(2)]
     open_window = damped("open", 8.0)  # no second collapse is seen
     assert any("experiment 'open' has" in text for text in prepare(TraceSet((*short, open_window))).cautions)
-    assert not any("so decides" in text for text in prepare(TraceSet((*short, damped("third", 0.4)))).cautions)
+    assert not any("decides the result" in text for text in prepare(TraceSet((*short, damped("third", 0.4)))).cautions)
 
 
 def test_that_a_stated_rest_radius_that_is_passed_over_is_said() -> None:
