@@ -9,8 +9,8 @@ from imr_torch.assimilate.frame_noise import FrameNoise, FrameNoisePrior, infer_
 from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
 from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.assimilate.map_fit import assimilate
-from imr_torch.assimilate.noise_estimation import NOISE_ROUNDS, assimilate_estimating_noise
-from imr_torch.assimilate.noise_prior import NoiseEdge, NoisePrior, noise_edges
+from imr_torch.assimilate.noise_estimation import NOISE_ROUNDS, assimilate_estimating_noise, noise_nodes
+from imr_torch.assimilate.noise_posterior import NoiseNodes
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.assimilate.profile import Profile, profile
@@ -32,8 +32,7 @@ __all__ = [
     "ImportanceSample",
     "ModelFit",
     "Neighbourhood",
-    "NoiseEdge",
-    "NoisePrior",
+    "NoiseNodes",
     "NormalEquations",
     "Point",
     "Posterior",
@@ -51,7 +50,7 @@ __all__ = [
     "find_bad_frames",
     "find_frame_jitter",
     "infer_frame_noise",
-    "noise_edges",
+    "noise_nodes",
     "normal_equations",
     "profile",
     "weigh",

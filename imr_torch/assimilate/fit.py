@@ -189,7 +189,7 @@ class ModelFit:
             if self.sample is not None and self.verdict is Verdict.TRUSTED:
                 mean, chol = self.sample.corrected(mean, chol)
             elif noise is not None:
-                mean, chol = noise.nodes.about.mean, noise.nodes.about.chol
+                mean, chol = noise.about.mean, noise.about.chol
             return self._believed(mean, chol @ chol.mT)
         sample = self.sample
         assert sample is not None

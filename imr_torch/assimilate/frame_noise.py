@@ -11,9 +11,13 @@ Where designs were repeated, the repeats decide: their deviations from their mea
 
 The law is ``scale * sqrt((slope |R*-1| + drift t*)^2 + floor^2)`` with free proportions. One curve whose noise is not that of
 the others gets a factor of its own. Gaussian processes by their state space: Hartikainen & Sarkka, IEEE MLSP 2010.
+
+Fits take frames as independent, so that a curve passes through its frames also where a model misses them. What residuals have
+in common makes their intervals too narrow then; :attr:`FrameNoise.widened` says by how much.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -22,17 +26,19 @@ from torch import Tensor
 
 from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.assimilate.matern import MATERN, matern_whitened
-from imr_torch.assimilate.noise_law import LocalNoise, NoiseGrid, best_scales
-from imr_torch.assimilate.noise_prior import NoisePrior
+from imr_torch.assimilate.noise_law import LocalNoise, best_scales, equation_blocks
 from imr_torch.assimilate.posterior import Neighbourhood
+from imr_torch.assimilate.repeats import law_of_repeats
 from imr_torch.assimilate.spikes import bends
-from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
+from imr_torch.assimilate.widening import Deviations, WhitenedFit, interval_factor, log_marginals
+from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws
 
 _FRAMES = 400  # of a longer record every second, third, ... frame is used
 _AT_ONCE = 1500  # combinations filtered side by side
 _KEPT = 1e-4  # weight over the largest from which on a law is kept
 _OWN_SD = 0.7  # prior standard deviation of the logarithm of one curve's own noise factor
 _FEWEST = 12  # frames that a curve needs for a factor of its own
+_LIKELY = 1e-3  # weight over the largest from which on a combination counts for intervals
 
 
 @dataclass(frozen=True)
@@ -83,36 +89,59 @@ class FrameNoise:
         laws: the posterior.
         factors: of each experiment, its noise over the law; 1 where it is that of the others.
         factor_sds: standard deviations of their logarithms.
+        widened: factor by which 90 % intervals of the gel from independent frames are to be wider, for what residuals have in
+            common; near 1 where the model explains the curves.
 
     >>> import torch
     >>> from imr_torch.assimilate import FrameNoise
     >>> from imr_torch.observe import Experiment, ExperimentBatch, Noise, NoiseLaws
     >>> times, one = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64), torch.ones(1, dtype=torch.float64)
     >>> shots = tuple(Experiment(f"shot {k}", (400.0, 0.22), times, torch.ones(1, 3)) for k in range(2))
-    >>> noise = FrameNoise(Noise(scale=1.2), NoiseLaws((Noise(scale=1.2),), one, 0.1 * one), (1.0, 3.0), (0.0, 0.2))
+    >>> noise = FrameNoise(Noise(scale=1.2), NoiseLaws((Noise(scale=1.2),), one, 0.1 * one), (1.0, 3.0), (0.0, 0.2), 2.0)
     >>> [e.noise_factor for e in noise.applied(ExperimentBatch(shots)).curves]
     [1.0, 3.0]
+    >>> noise.for_intervals.law.scale
+    2.4
     """
 
     law: Noise
     laws: NoiseLaws
     factors: tuple[float, ...]
     factor_sds: tuple[float, ...]
+    widened: float = 1.0
+
+    @property
+    def for_intervals(self) -> "FrameNoise":
+        """The same with laws that are enlarged by :attr:`widened`, as the intervals of a fit need them."""
+
+        def enlarged(law: Noise) -> Noise:
+            return replace(law, scale=law.scale * self.widened, widened=self.widened)
+
+        laws = replace(self.laws, laws=tuple(enlarged(law) for law in self.laws.laws))
+        return replace(self, law=enlarged(self.law), laws=laws)
+
+    def of_curve(self, number: int) -> "FrameNoise":
+        """The noise of one of the curves."""
+        return replace(self, factors=(self.factors[number],), factor_sds=(self.factor_sds[number],))
 
     def applied(self, batch: ExperimentBatch) -> ExperimentBatch:
-        """A batch of the same curves with this noise."""
-        experiments = tuple(
-            replace(e, noise_factor=factor, noise_factor_sd=sd)
-            for e, factor, sd in zip(batch.curves, self.factors, self.factor_sds, strict=True)
-        )
-        return replace(batch, experiments=experiments, noise=self.law, noise_laws=self.laws)
+        """A batch of the same curves, perhaps with collapse times beside them, with this noise."""
+        factors = iter(zip(self.factors, self.factor_sds, strict=True))
+        experiments: list[Experiment | CollapseTime] = []
+        for experiment in batch.experiments:
+            if isinstance(experiment, Experiment):
+                factor, sd = next(factors)
+                experiments.append(replace(experiment, noise_factor=factor, noise_factor_sd=sd))
+            else:
+                experiments.append(experiment)
+        return replace(batch, experiments=tuple(experiments), noise=self.law, noise_laws=self.laws)
 
 
-def infer_frame_noise(near: Neighbourhood, prior: FrameNoisePrior | None = None) -> FrameNoise:
-    """The posterior of the noise law about a fit.
+def infer_frame_noise(near: Neighbourhood | Sequence[Neighbourhood], prior: FrameNoisePrior | None = None) -> FrameNoise:
+    """The posterior of the noise law about a fit, or about several fits with gels of their own and one noise.
 
     Args:
-        near: the fitted point with its local sensitivities; its batch holds curves only.
+        near: each fitted point with its local sensitivities; its batch holds curves only.
         prior: of the law.
 
     >>> import torch
@@ -130,11 +159,14 @@ def infer_frame_noise(near: Neighbourhood, prior: FrameNoisePrior | None = None)
     >>> low < float(Noise(scale=2.0).sd(fit.prediction, batch.times).median()) < high
     True
     """
-    prior, batch = prior or FrameNoisePrior(), near.posterior.batch
-    if all(e.repeats > 1 for e in batch.curves):
-        return _of_repeats(batch, prior.law)
-    grid = _Grid.of(near, prior)
-    factors = torch.ones(len(near.centre), dtype=torch.float64)
+    fits = (near,) if isinstance(near, Neighbourhood) else tuple(near)
+    prior, curves = prior or FrameNoisePrior(), [e for one in fits for e in one.posterior.batch.curves]
+    if all(e.repeats > 1 for e in curves):
+        law, laws = law_of_repeats([one.posterior.batch for one in fits], prior.law)
+        widened = _factor_of_repeats(fits, law, prior)
+        return FrameNoise(law, laws, (1.0,) * len(curves), (0.0,) * len(curves), widened)
+    grid = _Grid.of(fits, prior)
+    factors = torch.ones(len(curves), dtype=torch.float64)
     sds = torch.zeros_like(factors)
     found = grid.posterior(factors)
     while len(factors) > 1 and bool((factors == 1.0).sum() > 1):
@@ -148,26 +180,6 @@ def infer_frame_noise(near: Neighbourhood, prior: FrameNoisePrior | None = None)
     return grid.concluded(found, factors, sds)
 
 
-def _of_repeats(batch: ExperimentBatch, law: Noise) -> FrameNoise:
-    """The most probable law of the deviations of repeats from their mean, independent or correlated between frames."""
-    grid = NoiseGrid.of(NoisePrior(law))
-    if any(e.has_gaps for e in batch.curves):
-        grid = grid[grid.times == 0.0]
-    square, normaliser = (x.sum(-1) for x in grid.terms(batch, batch.mean))
-    repeats = sum(float((e.counts - 1).sum()) for e in batch.curves)
-    value = -0.5 * repeats * square.log() - repeats / float(batch.sizes.sum()) * normaliser + grid.log_prior
-    best = int(value.argmax())
-    found = replace(
-        grid.law,
-        scale=math.sqrt(float(square[best]) / repeats),
-        floor=float(grid.floors[best]),
-        correlation_time=float(grid.times[best]),
-    )
-    one, count = torch.ones(1, dtype=torch.float64), len(batch.curves)
-    laws = NoiseLaws((found,), one, one / math.sqrt(2.0 * repeats), of_residuals=False)
-    return FrameNoise(found, laws, (1.0,) * count, (0.0,) * count)
-
-
 @dataclass(frozen=True)
 class _Found:
     """Log weights of all combinations, and their log scales with standard deviations: ``J`` tensors."""
@@ -178,43 +190,30 @@ class _Found:
 
 
 @dataclass(frozen=True)
-class _Grid:
-    """All combinations of laws and deviations: ``J`` rows of ``values``.
+class _Curves:
+    """The curves of one fit.
 
     Args:
         near: the fitted point.
-        prior: of the law.
-        values: ``J x 6`` tensor: slope, drift, floor, amount and duration of the smooth deviation, bend; at scale 1.
-        log_prior: ``J`` tensor.
         rows: frames that are used, ``E x T`` boolean tensor.
         bend: ``E x T`` tensor, how far each frame lies off the cubic through its neighbours, in the fitted curve.
+        place: which of all curves of all fits they are.
     """
 
     near: Neighbourhood
-    prior: FrameNoisePrior
-    values: Tensor
-    log_prior: Tensor
     rows: Tensor
     bend: Tensor
+    place: slice
 
-    @classmethod
-    def of(cls, near: Neighbourhood, prior: FrameNoisePrior) -> "_Grid":
-        """The grid about one point."""
-        batch, rows, logs = near.posterior.batch, [], []
-        spacing = torch.cat([e.times.diff() for e in batch.curves]).median()
-        smooth = [(a, max(d, 2.5 * float(spacing))) for a, d in product(prior.amounts, prior.durations)]
-        third = (1.0 - prior.none) / 3.0
-        deviations = [(0.0, 1.0, 0.0, prior.none)]
-        deviations += [(amount, duration, 0.0, third / len(smooth)) for amount, duration in smooth]
-        deviations += [(0.0, 1.0, bend, third / len(prior.bends)) for bend in prior.bends]
-        both = third / (len(smooth) * len(prior.bends))
-        deviations += [(*one, bend, both) for one, bend in product(smooth, prior.bends)]
-        for (balance, weight), floor, (*deviation, share) in product(prior.balances, prior.floors, deviations):
-            rows.append((*_balanced(prior.law, balance), floor, *deviation))
-            logs.append(math.log(weight * share / len(prior.floors)))
-        values = torch.tensor(rows, dtype=torch.float64)
-        kept = _thinned(batch.mask)
-        return cls(near, prior, values, torch.tensor(logs, dtype=torch.float64), kept, bends(batch, near.centre))
+    @staticmethod
+    def of(fits: Sequence[Neighbourhood]) -> "tuple[_Curves, ...]":
+        """Those of each fit."""
+        found, first = [], 0
+        for near in fits:
+            batch, count = near.posterior.batch, len(near.centre)
+            found.append(_Curves(near, _thinned(batch.mask), bends(batch, near.centre), slice(first, first + count)))
+            first += count
+        return tuple(found)
 
     def variance(self, values: Tensor) -> Tensor:
         """``J x E x T`` tensor, variance of the noise at scale 1, without that of deviations."""
@@ -222,78 +221,108 @@ class _Grid:
         batch, radius = self.near.posterior.batch, self.near.centre
         return (slope * (radius - 1.0).abs() + drift * batch.times).square() + floor.square()
 
-    def mean_square(self, values: Tensor, factors: Tensor) -> Tensor:
-        """``J`` tensor, mean of that over the frames that are used."""
-        return (self.variance(values) * factors[:, None].square() * self.rows).sum((1, 2)) / self.rows.sum()
-
-    def whitened(self, values: Tensor, factors: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
+    def whitened(self, values: Tensor, factors: Tensor, level: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
         """Columns ``C x E x T`` under each combination, ``J x C x E x T``, and half the log determinants, ``J x E``."""
-        noise = self.variance(values) * factors[:, None].square()
+        noise = self.variance(values) * factors[self.place, None].square()
         noise = noise + (values[:, 5, None, None] * self.bend).square()
-        smooth = values[:, 3].square() * self.mean_square(values, factors)
-        return matern_whitened(self.near.posterior.batch.times, self.rows, noise, smooth, MATERN / values[:, 4], columns)
+        smooth, rates = values[:, 3].square() * level, MATERN / values[:, 4]
+        return matern_whitened(self.near.posterior.batch.times, self.rows, noise, smooth, rates, columns)
 
-    def local(self, factors: Tensor) -> LocalNoise:
+    @property
+    def residual(self) -> Tensor:
+        """``E x T`` tensor, of the mean of repeats, in units of one repeat's noise; 0 for frames that are not used."""
+        batch = self.near.posterior.batch
+        return torch.where(self.rows, (batch.mean - self.near.centre) * batch.counts.sqrt(), 0.0)
+
+    def local(self, values: Tensor, factors: Tensor, level: Tensor) -> LocalNoise:
         """What the linearisation says of the data under each combination, at scale 1."""
-        near, batch = self.near, self.near.posterior.batch
-        by_gel, by_nuisance = (x.movedim(-1, 0) for x in near.slopes)
-        columns = torch.cat(((batch.mean - near.centre)[None], by_gel, by_nuisance)) * batch.counts.sqrt()
-        columns = torch.where(self.rows, columns, 0.0).nan_to_num()
-        parts = []
-        for some in self.values.split(_AT_ONCE):
-            seen, log_det = self.whitened(some, factors, columns)
-            residual, gel, nuisance = (x.movedim(1, -1) for x in seen.split((1, len(by_gel), len(by_nuisance)), 1))
-            parts.append(
-                (
-                    residual.square().sum((1, 2, 3)),
-                    log_det.sum(1),
-                    -(gel.mT @ residual)[..., 0].sum(1),
-                    -(nuisance.mT @ residual)[..., 0],
-                    (gel.mT @ gel).sum(1),
-                    nuisance.mT @ nuisance,
-                    nuisance.mT @ gel,
-                )
-            )
+        near, root = self.near, self.near.posterior.batch.counts.sqrt()
+        slopes = [torch.where(self.rows, x.movedim(-1, 0) * root, 0.0).nan_to_num() for x in near.slopes]
+        columns, parts = torch.cat((self.residual[None], *slopes)), []
+        for some, own_level in zip(values.split(_AT_ONCE), level.split(_AT_ONCE), strict=True):
+            seen, log_det = self.whitened(some, factors, own_level, columns)
+            parts.append((seen[:, 0].square().sum((1, 2)), log_det.sum(1), *equation_blocks(seen, len(slopes[0]))))
         square, normaliser, *blocks = (torch.cat(x) for x in zip(*parts, strict=True))
         point = (near.point.gel, near.point.nuisances)
         return LocalNoise(square, normaliser, float(self.rows.sum()), NormalEquations(*blocks), point)
 
+
+@dataclass(frozen=True)
+class _Grid:
+    """All combinations of laws and deviations: ``J`` rows of ``values``.
+
+    Args:
+        curves: of each fit.
+        prior: of the law.
+        values: ``J x 6`` tensor: slope, drift, floor, amount and duration of the smooth deviation, bend; at scale 1.
+        log_prior: ``J`` tensor.
+    """
+
+    curves: tuple[_Curves, ...]
+    prior: FrameNoisePrior
+    values: Tensor
+    log_prior: Tensor
+
+    @classmethod
+    def of(cls, fits: Sequence[Neighbourhood], prior: FrameNoisePrior) -> "_Grid":
+        """The grid about fitted points."""
+        rows, logs = [], []
+        for (balance, weight), floor, (*deviation, share) in product(prior.balances, prior.floors, _deviations(fits, prior)):
+            rows.append((*_balanced(prior.law, balance), floor, *deviation))
+            logs.append(math.log(weight * share / len(prior.floors)))
+        values, log_prior = (torch.tensor(x, dtype=torch.float64) for x in (rows, logs))
+        return cls(_Curves.of(fits), prior, values, log_prior)
+
+    def level(self, factors: Tensor) -> Tensor:
+        """``J`` tensor, mean variance of the noise over the frames that are used."""
+        sums = [(c.variance(self.values) * factors[c.place, None].square() * c.rows).sum((1, 2)) for c in self.curves]
+        return torch.stack(sums).sum(0) / sum(c.rows.sum() for c in self.curves)
+
     def posterior(self, factors: Tensor) -> _Found:
         """Weights of all combinations, their scales integrated out."""
-        local = self.local(factors)
-        likely, widths = best_scales([local])
+        level = self.level(factors)
+        local = [c.local(self.values, factors, level) for c in self.curves]
+        likely, widths = best_scales(local)
         median, wide = self.prior.level
-        ahead = math.log(median) - 0.5 * self.mean_square(self.values, factors).log() - likely
+        ahead = math.log(median) - 0.5 * level.log() - likely
         both = widths.square() + wide**2
         log_scales, sds = likely + widths.square() / both * ahead, widths * wide / both.sqrt()
-        value = local.marginal(likely[:, None])[:, 0] + sds.log() - 0.5 * ahead.square() / both + self.log_prior
+        marginal = torch.stack([one.marginal(likely[:, None])[:, 0] for one in local]).sum(0)
+        value = marginal + sds.log() - 0.5 * ahead.square() / both + self.log_prior
         too_small = log_scales + self.values[:, 2].log() < math.log(self.prior.least)
         if not bool(too_small.all()):
             value = torch.where(too_small, -torch.inf, value)
         return _Found(value - value.logsumexp(0), log_scales, sds)
 
     def outlier(self, found: _Found, factors: Tensor, chance: float) -> tuple[int, float, float] | None:
-        """The experiment whose noise most clearly differs from that of the others: number, log factor and its sd."""
-        batch, best = self.near.posterior.batch, int(found.log_weights.argmax())
-        residual = torch.where(self.rows, batch.mean - self.near.centre, 0.0) * batch.counts.sqrt()
-        seen, _ = self.whitened(self.values[best : best + 1], factors, residual[None])
-        square = seen[0, 0].square().sum(-1)
-        by_gel, by_nuisance = self.near.slopes
-        fitted = by_gel.shape[-1] / len(square) + by_nuisance.shape[-1]
-        count = (self.rows.sum(1) - fitted).clamp_min(1.0)
+        """The curve whose noise most clearly differs from that of the others: number, log factor and its sd."""
+        best = int(found.log_weights.argmax())
+        values, level, squares, frames, fitted = self.values[best : best + 1], self.level(factors)[best : best + 1], [], [], []
+        for c in self.curves:
+            seen, _ = c.whitened(values, factors, level, c.residual[None])
+            by_gel, by_nuisance = c.near.slopes
+            squares.append(seen[0, 0].square().sum(-1))
+            frames.append(c.rows.sum(1))
+            fitted.append(torch.full_like(squares[-1], by_gel.shape[-1] / len(by_gel) + by_nuisance.shape[-1]))
+        square, used = torch.cat(squares), torch.cat(frames)
+        count = (used - torch.cat(fitted)).clamp_min(1.0)
         others = square.sum() - square, count.sum() - count
         log_factor = 0.5 * (square / count / (others[0] / others[1])).log()
         variance = 0.5 / count + 0.5 / others[1]
         wide = variance + _OWN_SD**2
         gain = 0.5 * log_factor.square() * (1.0 / variance - 1.0 / wide) - 0.5 * (wide / variance).log()
-        gain = torch.where((self.rows.sum(1) >= _FEWEST) & (factors == 1.0), gain, -torch.inf)
+        gain = torch.where((used >= _FEWEST) & (factors == 1.0), gain, -torch.inf)
         first = int(gain.argmax())
         if float(gain[first]) < math.log((1.0 - chance) / chance * len(square)):
             return None
         return first, float(log_factor[first]), math.sqrt(float(variance[first]))
 
+    def log_sd(self, law: Noise) -> Tensor:
+        """Logarithms of a law at all frames that are used."""
+        return torch.cat([law.sd(c.near.centre, c.near.posterior.batch.times)[c.rows].log() for c in self.curves])
+
     def concluded(self, found: _Found, factors: Tensor, factor_sds: Tensor) -> FrameNoise:
-        """Laws alike in all but their deviations together, and the central one."""
+        """Laws alike in all but their deviations together, the central one, and what deviations do to intervals."""
         laws, weights, sds = [], [], []
         keys, group = self.values[:, :3].unique(dim=0, return_inverse=True)
         for number, (slope, drift, floor) in enumerate(keys.tolist()):
@@ -311,17 +340,52 @@ class _Grid:
         kept = torch.nonzero(shares > _KEPT * shares.max())[:, 0].tolist()
         chosen = tuple(laws[i] for i in kept)
         share = shares[kept] / shares[kept].sum()
-        laws_known = NoiseLaws(chosen, share, torch.tensor(sds, dtype=torch.float64)[kept])
-        batch, radius = self.near.posterior.batch, self.near.centre
-        logs = torch.stack([law.sd(radius, batch.times)[self.rows].log() for law in chosen])
-        best = int(share.argmax())
-        centre = (share @ logs).mean()
+        known = NoiseLaws(chosen, share, torch.tensor(sds, dtype=torch.float64)[kept])
+        logs = torch.stack([self.log_sd(law) for law in chosen])
+        best, centre = int(share.argmax()), (share @ logs).mean()
         raised = 0.0
-        if int(self.rows.sum()) < self.prior.few:
-            raised = max(0.0, float(self.prior.law.sd(radius, batch.times)[self.rows].log().mean() - centre))
-            laws_known = replace(laws_known, laws=tuple(replace(law, scale=law.scale * math.exp(raised)) for law in chosen))
+        if sum(int(c.rows.sum()) for c in self.curves) < self.prior.few:
+            raised = max(0.0, float(self.log_sd(self.prior.law).mean() - centre))
+            known = replace(known, laws=tuple(replace(law, scale=law.scale * math.exp(raised)) for law in chosen))
         law = replace(chosen[best], scale=chosen[best].scale * math.exp(float(centre - logs[best].mean()) + raised))
-        return FrameNoise(law, laws_known, tuple(factors.tolist()), tuple(factor_sds.tolist()))
+        widened = interval_factor(_whitened(self.curves, law, factors), self.deviations(found, factors))
+        return FrameNoise(law, known, tuple(factors.tolist()), tuple(factor_sds.tolist()), widened)
+
+    def deviations(self, found: _Found, factors: Tensor) -> Deviations:
+        """What residuals may have in common, of the combinations that matter."""
+        kept = found.log_weights > found.log_weights.max() + math.log(_LIKELY)
+        scale, values = found.log_scales[kept].exp(), self.values[kept]
+        smooth = (scale * values[:, 3]).square() * self.level(factors)[kept]
+        return Deviations(found.log_weights[kept], smooth, values[:, 4], scale * values[:, 5])
+
+
+def _whitened(curves: Sequence[_Curves], law: Noise, factors: Tensor) -> list[WhitenedFit]:
+    return [WhitenedFit.of(c.near, law, c.rows, c.bend, factors[c.place]) for c in curves]
+
+
+def _factor_of_repeats(fits: Sequence[Neighbourhood], law: Noise, prior: FrameNoisePrior) -> float:
+    """:func:`interval_factor` where the law is known from repeats: deviations of their mean from the fit."""
+    curves = _Curves.of(fits)
+    ones = torch.ones(sum(len(near.centre) for near in fits), dtype=torch.float64)
+    *columns, shares = torch.tensor(_deviations(fits, prior), dtype=torch.float64).unbind(1)
+    used = sum(int(c.rows.sum()) for c in curves)
+    level = sum(float(law.sd(c.near.centre, c.near.posterior.batch.times)[c.rows].square().sum()) for c in curves) / used
+    known = Deviations(shares.log(), columns[0].square() * level, columns[1], columns[2])
+    whitened = _whitened(curves, law, ones)
+    value = torch.stack([log_marginals(seen, c.near, known) for seen, c in zip(whitened, curves, strict=True)]).sum(0)
+    return interval_factor(whitened, replace(known, log_weights=known.log_weights + value))
+
+
+def _deviations(fits: Sequence[Neighbourhood], prior: FrameNoisePrior) -> list[tuple[float, float, float, float]]:
+    """Amount, duration and bend of every deviation that is tried, with its prior probability."""
+    spacing = torch.cat([e.times.diff() for near in fits for e in near.posterior.batch.curves]).median()
+    smooth = [(amount, max(lag, 2.5 * float(spacing))) for amount, lag in product(prior.amounts, prior.durations)]
+    third = (1.0 - prior.none) / 3.0
+    found = [(0.0, 1.0, 0.0, prior.none)]
+    found += [(amount, lag, 0.0, third / len(smooth)) for amount, lag in smooth]
+    found += [(0.0, 1.0, bend, third / len(prior.bends)) for bend in prior.bends]
+    both = third / (len(smooth) * len(prior.bends))
+    return [*found, *((amount, lag, bend, both) for (amount, lag), bend in product(smooth, prior.bends))]
 
 
 def _balanced(law: Noise, balance: float) -> tuple[float, float]:

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from imr_torch.assimilate.noise_posterior import NoiseNodes
+from imr_torch.assimilate.noise_posterior import NoiseMixture, NoiseNodes
 from imr_torch.observe import Noise
 
 _ENOUGH = 20.0  # effective samples, and a tenth of all, below which no estimate is taken as reliable
@@ -69,12 +69,14 @@ class NoiseSample:
     """Weighted draws under each of the noise laws over which they are integrated.
 
     Args:
-        nodes: ``M`` laws with their prior probabilities.
+        nodes: ``M`` laws with their weights.
+        about: the posterior over all laws, to first order.
         by_experiment: log likelihood of each experiment under each law, its nuisances integrated out.
         drawn: one law of each draw, from its conditional posterior.
     """
 
     nodes: NoiseNodes
+    about: NoiseMixture
     by_experiment: Float[Tensor, "draws laws experiments"]
     drawn: Int[Tensor, "draws"]
 
@@ -86,12 +88,6 @@ class NoiseSample:
     def log_likelihood(self) -> Float[Tensor, "draws"]:
         """Log likelihood of all experiments, the noise integrated over its prior."""
         return self.likelihood_of(range(self.by_experiment.shape[2]))
-
-    def probabilities(self, weights: Float[Tensor, "draws"]) -> Float[Tensor, "laws"]:
-        """Posterior probability of each law, by normalised weights of the draws."""
-        joint = self.by_experiment.sum(2) + self.nodes.log_prior.flatten()
-        each = torch.where(weights[:, None] > 0.0, torch.softmax(joint, 1), 0.0)
-        return weights @ each
 
 
 @dataclass(frozen=True)
@@ -225,18 +221,6 @@ class ImportanceSample:
         before = torch.linalg.cholesky((weights[:, None] * deviation).mT @ deviation)
         after = torch.linalg.cholesky(self.covariance)
         return mean + self.mean - centre, chol @ torch.linalg.solve_triangular(before, after, upper=False)
-
-    @property
-    def noise_intervals(self) -> dict[str, list[float]] | None:
-        """5, 50 and 95 % quantiles of scale, constant part (R*) and correlation time (t*); None where the noise is known."""
-        if self.noise is None:
-            return None
-        probabilities, found = self.noise.probabilities(self.weights), {}
-        for name, values in self.noise.nodes.values.items():
-            order = values.argsort()
-            at = torch.searchsorted(probabilities[order].cumsum(0), torch.tensor((0.05, 0.5, 0.95)).double())
-            found[name] = values[order][at.clamp_max(len(values) - 1)].tolist()
-        return found
 
     def noise_laws(self, count: int) -> list[Noise] | None:
         """``count`` noise laws of the posterior, of equal weight; None where the noise is known."""

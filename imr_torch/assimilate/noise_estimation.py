@@ -1,28 +1,25 @@
-"""Assimilation of measured curves with their noise law estimated from the residuals.
+"""Assimilation of measured curves with their noise inferred about the fits.
 
-All models are fitted with the noise law as given; the most probable law is found about the best model; all models are fitted
-again with that law. A model that misses the data thus gets a larger noise and wider intervals; where the caller can tell that
-it does, its frames are taken as independent (:func:`imr_torch.assimilate.misfit_noise.misfit_law`). Only the residuals and
-sensitivities of the earlier fits are used, so these end within a tenth of a nat of a minimum. What the uncertainty of the law
-means for gel and evidence is left to :func:`imr_torch.assimilate.weigh`.
+All models are fitted with the noise law as given; the noise of single frames is inferred about the best model, beside any
+smooth misfit (:mod:`imr_torch.assimilate.frame_noise`); all models are fitted again with it. Where a model misses the data,
+the noise stays that of the camera, and is enlarged for what the residuals have in common. Only residuals and sensitivities of
+the earlier fits are used, so these end within a tenth of a nat of a minimum. What the uncertainty of the law means for gel and
+evidence is left to :func:`imr_torch.assimilate.weigh`.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import torch
 
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, ModelFit
+from imr_torch.assimilate.frame_noise import FrameNoisePrior, infer_frame_noise
 from imr_torch.assimilate.map_fit import assimilate
-from imr_torch.assimilate.misfit_noise import misfit_law
-from imr_torch.assimilate.noise_law import most_probable_law
-from imr_torch.assimilate.noise_prior import NoisePrior
+from imr_torch.assimilate.noise_posterior import NoiseNodes
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.posterior import Posterior
-from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
-from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise
+from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch
 from imr_torch.observe.collapse import scatter_of
 from imr_torch.observe.noise import FEWEST_RESIDUALS
 from imr_torch.random import child
@@ -46,11 +43,10 @@ def assimilate_estimating_noise(
     seed: int,
     options: FitOptions | None = None,
     near: Assimilation | None = None,
-    explains: Callable[[ModelFit, ExperimentBatch], bool] | None = None,
     warn: bool = True,
     progress: Progress | None = None,
 ) -> Assimilation:
-    """Fit all models, estimate the noise from the residuals of the best one, and fit again.
+    """Fit all models, infer the noise about the best one, and fit again.
 
     Args:
         belief: prior; not changed.
@@ -60,15 +56,11 @@ def assimilate_estimating_noise(
         seed: of starts and ensembles.
         options: the method and its settings, :func:`assimilate` by default; tolerances are those of the last fits.
         near: fits of the same belief and experiments, with other noise or frames, to start from.
-        explains: whether a fit explains the curves; all do when not given.
         warn: as for :func:`assimilate`, of the last fits.
         progress: called with one line per iteration.
 
     Returns:
         The last fits; their batch has the noise that they were made with.
-
-    Raises:
-        InputDataError: if the noise is to be estimated and a repeat lacks frames that another has.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, reference_case
@@ -82,13 +74,7 @@ def assimilate_estimating_noise(
     >>> round(fits.batch.noise.scale, 1)  # times the published law
     2.0
     """
-    gaps = [e.label for e in batch.experiments if e.has_gaps]
-    if rounds and gaps:
-        raise InputDataError(
-            f"Experiment {gaps[0]!r}: a repeat lacks frames that another has, so the noise cannot be estimated (it may be "
-            "correlated); leave these frames out of all repeats, or give the noise."
-        )
-    law, options = batch.noise, options or SearchOptions()
+    law, options = FrameNoisePrior(batch.noise), options or SearchOptions()
 
     def fit(batch: ExperimentBatch, number: int, near: Assimilation | None) -> Assimilation:
         own, last = child(seed, "round", number) if number else seed, number == rounds
@@ -99,7 +85,7 @@ def assimilate_estimating_noise(
 
     result = fit(batch, 0, near)
     for number in range(1, rounds + 1):
-        batch = ExperimentBatch(with_scatter(result), estimated_noise(result, law, simulator, explains))
+        batch = with_inferred_noise(replace(result.batch, experiments=with_scatter(result)), result, law, simulator)
         if progress:
             progress(f"noise {batch.noise}")
         result = fit(batch, number, result)
@@ -111,30 +97,38 @@ def _coarse(options: SearchOptions) -> SearchOptions:
     return replace(options, gradient=max(_GRADIENT, options.gradient), agreement=max(_AGREEMENT, options.agreement))
 
 
-def estimated_noise(
-    result: Assimilation,
-    law: Noise,
-    simulator: Simulator,
-    explains: Callable[[ModelFit, ExperimentBatch], bool] | None = None,
-) -> Noise:
-    """Noise of one curve: the most probable law about the model of lowest cost (:func:`most_probable_law`).
-
-    The law as it was, where the fit left fewer than ten degrees of freedom; that of a misfit, where the model misses the data.
+def with_inferred_noise(
+    batch: ExperimentBatch, result: Assimilation, prior: FrameNoisePrior, simulator: Simulator
+) -> ExperimentBatch:
+    """A batch with the noise of its curves as inferred about the model of lowest cost; as it was where these tell too little.
 
     Args:
+        batch: the experiments of the fits.
         result: the fits.
-        law: to begin with; slope and drift keep their proportion, and the floor is that of the law or more.
+        prior: of the law.
         simulator: makes the bubbles.
-        explains: whether a fit explains the curves; all do when not given.
     """
-    best, batch = min(result.fits, key=lambda fit: fit.cost), result.batch
     if not bool((~batch.collapse).any()):
-        return law
-    best, batch = best.of_curves(batch)
-    if not determines_noise(best, batch):
-        return law
-    near, prior = Posterior(best.prior, batch, simulator).neighbourhood(best.point), NoisePrior(law)
-    return (most_probable_law if explains is None or explains(best, batch) else misfit_law)([near], prior)
+        return batch
+    best, curves = min(result.fits, key=lambda fit: fit.cost).of_curves(result.batch)
+    if not determines_noise(best, curves):
+        return batch
+    near = Posterior(best.prior, curves, simulator).neighbourhood(best.point)
+    return infer_frame_noise(near, prior).for_intervals.applied(batch)
+
+
+def noise_nodes(result: Assimilation, simulator: Simulator) -> NoiseNodes | None:
+    """Laws of the noise over which posteriors are integrated; None where it was not inferred, or collapse times stand beside.
+
+    Args:
+        result: fits whose batch has its noise inferred.
+        simulator: makes the bubbles.
+    """
+    batch = result.batch
+    if batch.noise_laws is None or bool(batch.collapse.any()):
+        return None
+    best = min(result.fits, key=lambda fit: fit.cost)
+    return NoiseNodes.of(batch.noise_laws, Posterior(best.prior, batch, simulator).neighbourhood(best.point))
 
 
 def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:

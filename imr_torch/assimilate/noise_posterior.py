@@ -1,8 +1,9 @@
 """The noise law as part of the posterior: laws over which a posterior is integrated, and its moments over them.
 
-The marginal likelihood about a fit (:mod:`imr_torch.assimilate.noise_law`) says which laws matter. Over these the exact
-likelihood of each draw is summed (:class:`NoiseNodes`, :func:`imr_torch.assimilate.weigh`), so that only the choice of nodes
-rests on the linearisation.
+What is known of the law (:class:`imr_torch.observe.NoiseLaws`) was inferred about the best fit, beside any smooth misfit, which
+no likelihood of independent frames could do. So the laws are given weights by which their posterior about that fit is what is
+known (:class:`NoiseNodes`); every draw of every model is then weighted by the same sum over laws, exactly
+(:func:`imr_torch.assimilate.weigh`), and only the weights rest on a linearisation.
 """
 
 import math
@@ -14,15 +15,13 @@ from torch import Tensor
 
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.gauss_newton import NormalEquations
-from imr_torch.assimilate.noise_law import LocalNoise, NoiseGrid, best_scales
-from imr_torch.assimilate.noise_prior import NoisePrior
+from imr_torch.assimilate.noise_law import LocalNoise
 from imr_torch.assimilate.posterior import Neighbourhood
-from imr_torch.observe import ExperimentBatch, Noise
+from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
 
-_MOST = 24  # pairs of floor and correlation time
-_WITHIN = 8.0  # nats below the best pair within which a pair counts
-_STEP = 1.1  # between scales, in posterior standard deviations of their logarithm
-_BELOW, _ABOVE = 3, 4  # scales on either side; the posterior of a logarithm of a scale has the longer tail above
+_SHARE = 1e-3  # probability over the largest from which on a law counts
+_STEP = 1.0  # between scales, in posterior standard deviations of their logarithm
+_REACH = 3  # scales on either side of the central one
 _LONGEST = 2.0  # posterior standard deviations by which the linearised optimum under another law may lie off the fit
 
 
@@ -77,85 +76,61 @@ def _moments(weights: Tensor, means: Tensor, covariances: Tensor) -> tuple[Tenso
 
 @dataclass(frozen=True)
 class NoiseNodes:
-    """Noise laws over which a posterior is integrated, with their prior probabilities as weights of a quadrature.
+    """Noise laws over which a posterior is integrated, each at several scales.
 
     Args:
-        prior: of the law.
-        pairs: ``J`` pairs of floor and correlation time.
-        log_scales: ``J x S`` tensor.
-        log_prior: prior probability of each node, nats.
-        about: the posterior over all laws, to first order.
+        laws: ``J`` laws, each at its most probable scale.
+        log_factors: ``J x S`` tensor, logarithms of factors on these.
+        log_prior: weight of each in the likelihood, nats.
     """
 
-    prior: NoisePrior
-    pairs: NoiseGrid
-    log_scales: Float[Tensor, "pairs scales"]
-    log_prior: Float[Tensor, "pairs scales"]
-    about: "NoiseMixture"
+    laws: tuple[Noise, ...]
+    log_factors: Float[Tensor, "laws scales"]
+    log_prior: Float[Tensor, "laws scales"]
 
     @classmethod
-    def near(cls, near: Neighbourhood, prior: NoisePrior) -> "NoiseNodes":
-        """Nodes that matter about a fit.
+    def of(cls, known: NoiseLaws, near: Neighbourhood) -> "NoiseNodes":
+        """Nodes whose posterior about a fit is what is known of the noise.
 
-        Scales are a trapezoidal rule over the logarithm; of floors and correlation times every node of a grid that is within
-        8 nats of the best, or every second, third, ... along the longer side until there are at most 24.
+        The sum of likelihood times weight over the nodes is then, about that fit, the marginal likelihood averaged over what
+        is known, so evidences keep their meaning.
+
+        Args:
+            known: the laws.
+            near: the fit of the best model, about which they were inferred.
         """
-        pairs = NoiseGrid.of(prior)
-        local = LocalNoise.of(near, pairs)
-        centre, width = best_scales([local])
-        value = local.marginal(centre[:, None])[:, 0] + width.log() + pairs.log_prior
-        rows, stride = _thinned(pairs.places, value >= value.max() - _WITHIN)
-        steps = _STEP * torch.arange(-_BELOW, _ABOVE + 1, dtype=torch.float64)
-        log_scales = centre[rows, None] + width[rows, None] * steps
-        log_prior = (pairs.log_prior[rows] + stride.log() + (_STEP * width[rows]).log())[:, None].expand_as(log_scales)
-        log_prior = log_prior - math.log(math.log(prior.scales))
-        chosen = replace(local, square=local.square[rows], normaliser=local.normaliser[rows], equations=local.equations[rows])
-        about = NoiseMixture.of(chosen.posterior(log_scales), chosen.marginal(log_scales) + log_prior, near.point)
-        return cls(prior, pairs[rows], log_scales, log_prior, about)
+        kept = torch.nonzero(known.weights >= _SHARE * known.weights.max())[:, 0]
+        laws = tuple(known.laws[i] for i in kept.tolist())
+        steps = _STEP * torch.arange(-_REACH, _REACH + 1, dtype=torch.float64)
+        log_factors = known.log_scale_sds[kept, None] * steps
+        shares = torch.log_softmax(-0.5 * steps.square(), 0) + known.weights[kept, None].log()
+        shares = shares - shares.flatten().logsumexp(0)
+        marginal = LocalNoise.of(near, laws).marginal(_log_scales(laws, log_factors))
+        return cls(laws, log_factors, shares - marginal + (shares + marginal).flatten().logsumexp(0))
 
     def __len__(self) -> int:
-        return self.log_scales.numel()
+        return self.log_factors.numel()
 
     def law(self, node: int) -> Noise:
-        """One of the laws, numbered pair by pair."""
-        pair, number = divmod(node, self.log_scales.shape[1])
-        return replace(
-            self.pairs.law,
-            scale=math.exp(float(self.log_scales[pair, number])),
-            floor=float(self.pairs.floors[pair]),
-            correlation_time=float(self.pairs.times[pair]),
-        )
+        """One of the laws, numbered law by law."""
+        law, number = divmod(node, self.log_factors.shape[1])
+        return replace(self.laws[law], scale=self.laws[law].scale * math.exp(float(self.log_factors[law, number])))
 
-    @property
-    def values(self) -> dict[str, Float[Tensor, "laws"]]:
-        """``M`` tensors: scale, constant part (R*) and correlation time (t*) of each law."""
-        scale = self.log_scales.exp()
-        constant, times = scale * self.pairs.floors[:, None], self.pairs.times[:, None].expand_as(scale)
-        return {"scale": scale.flatten(), "constant": constant.flatten(), "correlation_time": times.flatten()}
+    def mixture(self, near: Neighbourhood) -> NoiseMixture:
+        """Moments over all nodes about the fit of some model."""
+        local, log_scales = LocalNoise.of(near, self.laws), _log_scales(self.laws, self.log_factors)
+        return NoiseMixture.of(local.posterior(log_scales), local.marginal(log_scales) + self.log_prior, near.point)
 
     def log_likelihood(
-        self, batch: ExperimentBatch, prediction: Float[Tensor, "*batch experiments frames"], pair: int
+        self, batch: ExperimentBatch, prediction: Float[Tensor, "*batch experiments frames"], law: int
     ) -> Float[Tensor, "scales *batch experiments"]:
-        """Log likelihood of each experiment under the laws of one pair; -inf for NaN."""
-        square, normaliser = self.pairs[pair : pair + 1].terms(batch, prediction)
-        scales = self.log_scales[pair].reshape(-1, *[1] * (square.ndim - 1))
-        value = -0.5 * square * torch.exp(-2.0 * scales) - normaliser - batch.sizes * scales
+        """Log likelihood of each experiment under one law at all of its scales; -inf for NaN."""
+        own = replace(batch, noise=self.laws[law], noise_laws=None)
+        square, normaliser = own.terms(prediction, own.sd(prediction), own.innovations)
+        factors = self.log_factors[law].reshape(-1, *[1] * square.ndim)
+        value = -0.5 * square * torch.exp(-2.0 * factors) - normaliser - batch.sizes * factors
         return torch.where(torch.isnan(value), -torch.inf, value)
 
 
-def _thinned(places: Tensor, kept: Tensor) -> tuple[Tensor, Tensor]:
-    """Rows that are kept, at most ``_MOST``, and how many of the grid each stands for; independent frames stay."""
-    strides = [1, 1]
-    best = places[kept].double().mean(0).round().long()
-    while True:
-        regular = kept.clone()
-        for axis, stride in enumerate(strides):
-            along = (places[:, axis] - best[axis]) % stride == 0
-            regular &= along if axis == 0 else along | (places[:, 1] < 0)
-        if int(regular.sum()) <= _MOST:
-            break
-        sides = [len(places[regular][:, axis].unique()) for axis in range(2)]
-        strides[sides.index(max(sides))] += 1
-    rows = torch.nonzero(regular)[:, 0]
-    stands = torch.where(places[rows, 1] < 0, strides[0], strides[0] * strides[1])
-    return rows, stands.double()
+def _log_scales(laws: tuple[Noise, ...], log_factors: Tensor) -> Tensor:
+    return torch.tensor([[law.scale] for law in laws], dtype=torch.float64).log() + log_factors

@@ -22,8 +22,7 @@ from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.importance import ImportanceSample, NoiseSample, smooth
 from imr_torch.assimilate.lower import lower_minima, lower_point
-from imr_torch.assimilate.noise_posterior import NoiseNodes
-from imr_torch.assimilate.noise_prior import NoisePrior
+from imr_torch.assimilate.noise_posterior import NoiseMixture, NoiseNodes
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.proposals import Kernels, mixture_log_prob, student_draws, student_log_prob
 from imr_torch.assimilate.ridge import trace_ridge
@@ -86,7 +85,7 @@ class _State:
 
     Args:
         fit: the fit.
-        nodes: noise laws over which its posterior is integrated; None where the noise is known, or not yet made.
+        mixture: its moments over all noise laws; None where the noise is known, or not yet made.
         refits: times that it was made again, or tried to be.
         proposals: of each round since.
         parts: draws of each round since.
@@ -94,7 +93,7 @@ class _State:
     """
 
     fit: ModelFit
-    nodes: NoiseNodes | None = None
+    mixture: NoiseMixture | None = None
     refits: int = 0
     proposals: list[Kernels] = field(default_factory=list)
     parts: list[_Round] = field(default_factory=list)
@@ -103,7 +102,7 @@ class _State:
     @property
     def about(self) -> ModelFit:
         """The fit, with the moments of its posterior over all noise laws where these are uncertain."""
-        return self.fit if self.nodes is None else replace(self.fit, **vars(self.nodes.about))
+        return self.fit if self.mixture is None else replace(self.fit, **vars(self.mixture))
 
     @property
     def refused(self) -> bool:
@@ -121,7 +120,7 @@ def weigh(
     rounds: int = 4,
     drop_behind: float | None = None,
     refit: bool = True,
-    noise: NoisePrior | None = None,
+    noise: NoiseNodes | None = None,
     progress: Progress | None = None,
 ) -> Assimilation:
     """Weigh draws about every fit by the exact posterior.
@@ -139,8 +138,8 @@ def weigh(
         drop_behind: a model gets one round only if its optimum is worse than the best one's by more than this, nats, or if its
             evidence is, by reliable weights.
         refit: whether a model of which a draw has a lower cost than its minimum is fitted again from there, and weighted anew.
-        noise: prior of the noise law, which is then integrated out: the likelihood of each draw is summed over the laws
-            that matter (:class:`imr_torch.assimilate.NoiseNodes`). The law of the batch is taken as known when not given.
+        noise: laws of the noise, which is then integrated out: the likelihood of each draw is summed over them
+            (:class:`imr_torch.assimilate.NoiseNodes`). The law of the batch is taken as known when not given.
         progress: called with one line per round.
 
     Returns:
@@ -173,12 +172,12 @@ def weigh(
         number += 1
         ahead = _ahead([state.fit for state in states], drop_behind)
         for state in waiting:
-            if noise is not None and state.nodes is None:
+            if noise is not None and state.mixture is None:
                 posterior = Posterior(state.fit.prior, batch, simulator)
-                state.nodes = NoiseNodes.near(posterior.neighbourhood(state.fit.point), noise)
+                state.mixture = noise.mixture(posterior.neighbourhood(state.fit.point))
             state.proposals.append(_proposal(state, batch, simulator))
             some = samples if state.fit.model in ahead else max(25, samples // _FEWER)
-            state.parts.append(_simulate(state, _draw(state, batch, some, seed, simulator), batch, simulator))
+            state.parts.append(_simulate(state, _draw(state, batch, some, seed, simulator), batch, simulator, noise))
             state.drawn += 1
             state.fit = _judge(state.fit, state.proposals[-1], state.parts[-1])
         if progress:
@@ -210,7 +209,7 @@ def _fit_again(
     for state, _ in doubtful:
         state.refits += 1
         if state.fit.model in lower:
-            state.fit, state.nodes, state.proposals, state.parts = lower[state.fit.model], None, [], []
+            state.fit, state.mixture, state.proposals, state.parts = lower[state.fit.model], None, [], []
 
 
 def _proposal(state: _State, batch: ExperimentBatch, simulator: Simulator) -> Kernels:
@@ -272,24 +271,23 @@ def _standard_log_prob(values: Tensor) -> Tensor:
     return -0.5 * (values.square() + math.log(2.0 * math.pi))
 
 
-def _simulate(state: _State, draws: _Draws, batch: ExperimentBatch, simulator: Simulator) -> _Round:
+def _simulate(state: _State, draws: _Draws, batch: ExperimentBatch, simulator: Simulator, noise: NoiseNodes | None) -> _Round:
     """Likelihoods of the draws of a model."""
     count = draws.nuisances.shape[:2]
     point = Point(draws.controls.repeat_interleave(count[1], 0), draws.nuisances.flatten(0, 1))
     prediction = Posterior(state.fit.prior, batch, simulator).predict(point).unflatten(0, count)
     likelihood = batch.log_likelihood(prediction)
     by_experiment = _mean_over_nuisances(draws, likelihood)
-    if state.nodes is None:
+    if noise is None or state.mixture is None:
         return _Round(draws.controls, by_experiment, _kept(draws, likelihood))
-    nodes = state.nodes
-    parts = [_mean_over_nuisances(draws, nodes.log_likelihood(batch, prediction, j)) for j in range(len(nodes.pairs))]
+    parts = [_mean_over_nuisances(draws, noise.log_likelihood(batch, prediction, law)) for law in range(len(noise.laws))]
     by_law = torch.cat(parts).movedim(0, 1)  # n x M x E
-    drawn = _drawn_laws(nodes, by_law, draws.uniforms[:, -1])
-    for pair in (drawn // nodes.log_scales.shape[1]).unique().tolist():
-        rows = torch.nonzero(drawn // nodes.log_scales.shape[1] == pair)[:, 0]
-        number = drawn[rows] % nodes.log_scales.shape[1]
-        likelihood[rows] = nodes.log_likelihood(batch, prediction[rows], pair)[number, torch.arange(len(rows))]
-    return _Round(draws.controls, by_experiment, _kept(draws, likelihood), NoiseSample(nodes, by_law, drawn))
+    drawn = _drawn_laws(noise, by_law, draws.uniforms[:, -1])
+    laws, scales = drawn // noise.log_factors.shape[1], drawn % noise.log_factors.shape[1]
+    for law in laws.unique().tolist():
+        rows = torch.nonzero(laws == law)[:, 0]
+        likelihood[rows] = noise.log_likelihood(batch, prediction[rows], law)[scales[rows], torch.arange(len(rows))]
+    return _Round(draws.controls, by_experiment, _kept(draws, likelihood), NoiseSample(noise, state.mixture, by_law, drawn))
 
 
 def _mean_over_nuisances(draws: _Draws, likelihood: Tensor) -> Tensor:

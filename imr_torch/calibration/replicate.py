@@ -21,11 +21,11 @@ from imr_torch.assimilate import (
     FitOptions,
     ImportanceSample,
     ModelFit,
-    NoisePrior,
     Point,
     Posterior,
     SearchOptions,
     assimilate_estimating_noise,
+    noise_nodes,
     weigh,
 )
 from imr_torch.design import Plan
@@ -207,7 +207,7 @@ def _inferred(arrangement: Arrangement, truth: _Truth, seed: int, simulator: Sim
             warn=False,
         )
         uncertain = arrangement.noise_rounds > 0 and arrangement.integrate_noise
-        noise = NoisePrior(batch.noise) if uncertain else None
+        noise = noise_nodes(fitted, simulator) if uncertain else None
         result = weigh(fitted, simulator, seed=child(seed, "weigh"), samples=arrangement.samples, noise=noise)
     except ConvergenceError as error:
         return Replicate(0, truth.model, failure=str(error))

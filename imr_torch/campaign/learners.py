@@ -22,7 +22,6 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.errors import InputDataError
-from imr_torch.goodness import explains_curves
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.random import child
@@ -181,7 +180,6 @@ class ExactLearner:
             rounds=self.noise_rounds,
             seed=child(observations.seed, "assimilate", number),
             options=self.options,
-            explains=explains_curves(simulator, seed=child(observations.seed, "explains", number)),
             progress=progress,
         )
         result = weigh(result, simulator, seed=child(observations.seed, "weigh", number), samples=self.samples)

@@ -1,8 +1,7 @@
 """Inference of the parameters of one gel and of the probability of each constitutive model from measured R(t) curves.
 
-The noise is first the published law; then its scale, constant part and correlation time are estimated from the residuals of
-the best model and the fit repeated, so that a model that misses the data gets wider intervals. Posterior and evidence integrate
-over the noise.
+The noise is first the published law; then that of single frames is inferred beside any smooth misfit of the best model,
+enlarged for what its residuals have in common, and the fit repeated. Posterior and evidence integrate over the noise.
 """
 
 import time
@@ -18,21 +17,20 @@ from imr_torch.assimilate import (
     BadFrames,
     FitOptions,
     ModelFit,
-    NoisePrior,
     SearchOptions,
     assimilate_estimating_noise,
     find_bad_frames,
     find_frame_jitter,
+    noise_nodes,
     weigh,
 )
-from imr_torch.assimilate.noise_estimation import determines_noise
 from imr_torch.characterization.checks import check_choices, check_data, check_population, check_profile
 from imr_torch.characterization.effort import EFFORTS
 from imr_torch.characterization.medium import medium_of
 from imr_torch.characterization.profiles import profiles_of
 from imr_torch.characterization.result import Characterization
 from imr_torch.gap import medium_sensitivities
-from imr_torch.goodness import FitTest, check_fit, explains_curves
+from imr_torch.goodness import FitTest, check_fit
 from imr_torch.material import Belief, wide_prior
 from imr_torch.observe import (
     CollapseShot,
@@ -86,8 +84,8 @@ def characterize(
         prior: what is believed before; the wide prior when not given.
         simulator: makes the bubbles; with heat and vapour transport by default.
         noise: law of the observation noise; the published one by default.
-        estimate_noise: whether its scale, constant part and correlation time are estimated from the residuals and integrated
-            over; not where fewer than ten degrees of freedom are left.
+        estimate_noise: whether it is inferred (:func:`imr_torch.assimilate.infer_frame_noise`) and integrated over; not where
+            fewer than ten degrees of freedom are left.
         collapses: collapses that the fitted window holds.
         rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
         options: how gels are fitted, and by which method: :class:`imr_torch.assimilate.SearchOptions` or
@@ -159,7 +157,6 @@ def characterize(
         simulator,
         noise,
         estimate_noise,
-        estimate_noise and not shots,
         options,
         EFFORTS[effort].rounds,
         drop_behind,
@@ -182,10 +179,8 @@ def characterize(
     moved = medium_sensitivities(weighted[posterior.best.model], weighted.batch, simulator, medium)
     own = child(seed, "profile")
     followed = profiles_of(weighted, posterior, simulator, seed=own, progress=progress) if profile else None
-    explained = weighted.batch.noise.widened == 1.0  # a misfit cannot be told from jitter
-    jitter = (
-        find_frame_jitter(*found.best.of_curves(weighted.batch), simulator) if check and len(traces) and explained else None
-    )
+    explained = tested is not None and tested.explained is not False  # a misfit cannot be told from jitter
+    jitter = find_frame_jitter(*found.best.of_curves(weighted.batch), simulator) if explained else None
     seconds = time.process_time() - started
     return Characterization(
         prepared,
@@ -228,7 +223,6 @@ class _Method:
     simulator: Simulator
     noise: Noise
     estimate_noise: bool
-    integrate_noise: bool
     options: FitOptions | None
     rounds: int
     drop_behind: float
@@ -249,19 +243,15 @@ class _Method:
             seed=child(seed, "fit"),
             options=self.options,
             near=near,
-            explains=explains_curves(self.simulator, seed=child(seed, "explains")),
             progress=self.progress,
         )
-        best = min(fits.fits, key=lambda fit: fit.cost)
-        estimated = self.integrate_noise and fits.batch.noise.widened == 1.0 and determines_noise(best, fits.batch)
-        uncertain = NoisePrior(self.noise) if estimated else None
         weighted = weigh(
             fits,
             self.simulator,
             seed=child(seed, "weigh"),
             rounds=self.rounds,
             drop_behind=self.drop_behind,
-            noise=uncertain,
+            noise=noise_nodes(fits, self.simulator),
             progress=self.progress,
         )
         evidence = evidences(weighted)

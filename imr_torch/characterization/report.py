@@ -8,7 +8,7 @@ from imr_torch.characterization.bands import intervals
 from imr_torch.characterization.collapse import patterns
 from imr_torch.characterization.effort import EFFORTS
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import CollapseTime
+from imr_torch.observe import CollapseTime, noise_sentences
 from imr_torch.select import Bound, probability_errors
 
 if TYPE_CHECKING:
@@ -101,18 +101,8 @@ def _collapse_lines(result: "Characterization") -> list[str]:
 
 
 def _noise_lines(result: "Characterization") -> list[str]:
-    """How uncertain the noise is, what lies at an end of its range, which frames look bad, and whether their times jitter."""
-    lines, found = [], result.noise_intervals
-    if found:
-        parts = (("scale", "multiple"), ("constant", "constant part (R*)"), ("correlation_time", "correlation time (t*)"))
-        values = ", ".join(f"{words} {found[name][0]:.3g} to {found[name][2]:.3g}" for name, words in parts)
-        lines.append(f"  integrated over, 90 %: {values}")
-    if result.noise.widened > 1.0:
-        lines.append(
-            "  The model misses the curves, so its residuals are no noise: frames are taken as independent, which makes the "
-            "fit pass through the curves, and intervals are widened for what the residuals have in common."
-        )
-    lines += [f"  {edge}" for edge in result.noise_edges]
+    """How large the noise of a frame is and what residuals have in common, frames that look bad, and those that jitter."""
+    lines = [f"  {sentence}" for sentence in noise_sentences(result.noise, result.noise_interval)]
     if result.left_out:
         lines += ["Left out of the fit as bad frames:", *(f"  {frame}" for frame in result.left_out)]
     lines += [] if result.bad_frames is None else result.bad_frames.lines()

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imr_torch.assimilate import Assimilation, BadFrame, BadFrames, FrameJitter, ModelFit, NoiseEdge, Profile, noise_edges
+from imr_torch.assimilate import Assimilation, BadFrame, BadFrames, FrameJitter, ModelFit, Profile
 from imr_torch.characterization.bands import intervals
 from imr_torch.characterization.collapse import collapse_rows, patterns
 from imr_torch.characterization.medium import medium_document
@@ -101,24 +101,18 @@ class Characterization:
         return self.assimilation.batch.noise
 
     @property
-    def noise_intervals(self) -> dict[str, list[float]] | None:
-        """5, 50 and 95 % quantiles of the noise under the most probable model; None where it was not integrated out."""
-        sample = self.assimilation[self.posterior.best.model].sample
-        return None if sample is None else sample.noise_intervals
-
-    @property
-    def noise_edges(self) -> tuple[NoiseEdge, ...]:
-        """Noise parameters that lie at an end of their range; none where the noise was given."""
-        sample = self.assimilation[self.posterior.best.model].sample
-        if sample is None or sample.noise is None:
-            return ()
-        return noise_edges(self.noise, sample.noise.nodes.prior, sample.noise_intervals)
+    def noise_interval(self) -> list[float] | None:
+        """5, 50 and 95 % quantiles of the noise of the median frame, R*; None where it was not inferred."""
+        batch = self.assimilation.batch
+        if batch.noise_laws is None:
+            return None
+        fit, curves = self.assimilation[self.posterior.best.model].of_curves(batch)
+        return curves.noise_interval(fit.prediction)
 
     @property
     def cautions(self) -> tuple[str, ...]:
         """What makes the numbers doubtful, a sentence each."""
-        edges = (str(edge) for edge in self.noise_edges if edge.remedy)
-        return (*self.prepared.cautions, *edges, *patterns(self.collapse_times()))
+        return (*self.prepared.cautions, *patterns(self.collapse_times()))
 
     def identifiability(self, fit: ModelFit) -> tuple[Identifiability, ...]:
         """What the data say of each parameter of a model: from its profile where that was made, else from its posterior."""
@@ -153,8 +147,8 @@ class Characterization:
             "models": models,
             "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
             "noise": vars(self.noise),
-            "noise_intervals": self.noise_intervals,
-            "noise_edges": [vars(edge) for edge in self.noise_edges],
+            "noise_interval": self.noise_interval,
+            "noise_factors": {e.label: e.noise_factor for e in self.experiments if e.noise_factor != 1.0},
             "bad_frames": None if self.bad_frames is None else self.bad_frames.to_dict(),
             "frame_jitter": None if self.jitter is None else self.jitter.to_dict(),
             "frames_left_out": [vars(frame) for frame in self.left_out],

@@ -22,6 +22,7 @@ from imr_torch.gap.verdict import OTHER, SLOW_NOISE, VERDICT_ODDS
 from imr_torch.goodness.score import ADEQUATE, LEVEL, BlockResult
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, PARAMETERS
+from imr_torch.observe import noise_sentences
 
 _CAUSES = 5
 _BLOCKS = 3
@@ -196,11 +197,7 @@ def _noise(report: GapReport) -> tuple[str, ...]:
     batch = report.batch
     if batch.noise_laws is None:
         return ()
-    low, middle, high = batch.noise_interval(report.null.prediction)
-    lines = [
-        f"Noise of single frames, inferred from the curves: {middle:.4f} in R* in the median frame (90 %: {low:.4f} to "
-        f"{high:.4f}); {batch.noise}."
-    ]
+    lines = [*noise_sentences(batch.noise, batch.noise_interval(report.null.prediction)), f"Its law: {batch.noise}."]
     own = {e.label: e.noise_factor for e in batch.curves if e.noise_factor != 1.0}
     lines += [f"The noise of {label} is {factor:.2f} times that of the other curves." for label, factor in own.items()]
     if report.spoilt:

@@ -7,7 +7,6 @@ diagnosis.
 """
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -134,26 +133,6 @@ def check_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
         batch.noise,
         seconds=time.process_time() - started,
     )
-
-
-def explains_curves(simulator: Simulator, *, seed: int) -> Callable[[ModelFit, ExperimentBatch], bool]:
-    """Whether fits explain their curves, for :func:`imr_torch.assimilate.assimilate_estimating_noise`.
-
-    Collapse times of the batch are left out; a fit that cannot be tested counts as one that explains.
-
-    Args:
-        simulator: makes the bubbles.
-        seed: of the tests.
-
-    >>> from imr_torch import PolytropicSimulator
-    >>> from imr_torch.goodness import explains_curves
-    >>> explains = explains_curves(PolytropicSimulator(), seed=0)  # explains(fit, batch) is True or False
-    """
-
-    def explains(fit: ModelFit, batch: ExperimentBatch) -> bool:
-        return check_fit(*fit.of_curves(batch), simulator, seed=seed).explained is not False
-
-    return explains
 
 
 def _settled(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> tuple[ModelFit, Linearisation]:

@@ -10,7 +10,7 @@ from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
 from imr_torch.observe.load import SUFFIXES, find_files, load_traces
 from imr_torch.observe.medium import GelMedium, Statement, gel_medium
 from imr_torch.observe.noise import Noise
-from imr_torch.observe.noise_laws import NoiseLaws
+from imr_torch.observe.noise_laws import NoiseLaws, noise_sentences
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.plausibility import check_experiment, check_maximum
 from imr_torch.observe.prepare import Prepared, prepare
@@ -57,6 +57,7 @@ __all__ = [
     "load_collapse_times",
     "load_set",
     "load_traces",
+    "noise_sentences",
     "predict",
     "prepare",
     "register_reader",

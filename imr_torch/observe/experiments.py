@@ -259,7 +259,7 @@ class ExperimentBatch:
 
     def noise_interval(self, prediction: Float[Tensor, "experiments frames"]) -> list[float]:
         """5, 50 and 95 % quantiles of the noise of the median frame at a prediction, R*."""
-        level = self.sd(prediction)[self.mask].median()
+        level = self.sd(prediction)[self.mask].median() / self.noise.widened
         logs = self.log_noise_ratios(prediction, 1000, generator=torch.Generator().manual_seed(0))
         means = logs[:, self.mask].mean(1)
         return [float(level * means.quantile(q).exp()) for q in (0.05, 0.5, 0.95)]
@@ -287,7 +287,8 @@ class ExperimentBatch:
         return self._padded([e.counts.to(torch.float64) for e in self.experiments], 1.0)
 
     @cached_property
-    def _innovations(self) -> tuple[Tensor, Tensor] | None:
+    def innovations(self) -> tuple[Float[Tensor, "experiments frames"], Float[Tensor, "experiments frames"]] | None:
+        """:meth:`Noise.innovations` of these frames."""
         return self.noise.innovations(self.times, self.mask)
 
     @cached_property
@@ -315,8 +316,8 @@ class ExperimentBatch:
     ) -> Float[Tensor, "*#batch experiments frames"]:
         """Scale differences ``... x E x T`` so that the mean of the repeats has unit, independent noise."""
         scaled = torch.where(self.mask, values / sd, 0.0)
-        if self._innovations is not None:
-            own, before = self._innovations
+        if self.innovations is not None:
+            own, before = self.innovations
             scaled = own * scaled - before * previous(scaled)
         return scaled * self.counts.sqrt()
 
@@ -364,7 +365,7 @@ class ExperimentBatch:
 
     def log_likelihood(self, prediction: Float[Tensor, "*batch experiments frames"]) -> Float[Tensor, "*batch experiments"]:
         """Log density of all repeats and frames of each experiment; ``-inf`` for NaN."""
-        square, normaliser = self.terms(prediction, self.sd(prediction), self._innovations)
+        square, normaliser = self.terms(prediction, self.sd(prediction), self.innovations)
         value = -0.5 * square - normaliser
         return torch.where(torch.isnan(value), -torch.inf, value)
 

@@ -1,6 +1,7 @@
 """What is known of a noise law that was inferred: weighted laws, over which tests and probabilities are averaged."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -8,6 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.observe.noise import Noise
+
+_WIDE = 1.05  # from which factor on it is said that intervals are wider
 
 
 @dataclass(frozen=True)
@@ -57,3 +60,24 @@ class NoiseLaws:
     def log_scales(self, count: int) -> Float[Tensor, "nodes"]:
         """Equally probable logarithms of a factor on the scale, by which the noise may differ from its central law."""
         return self.log_scale_sd * torch.special.ndtri((torch.arange(count, dtype=torch.float64) + 0.5) / count)
+
+
+def noise_sentences(noise: Noise, interval: Sequence[float] | None) -> list[str]:
+    """How large the inferred noise of a frame is, and how much wider intervals are for what residuals have in common.
+
+    Args:
+        noise: the law of the fit.
+        interval: 5, 50 and 95 % quantiles of the noise of the median frame, R*; None where it was not inferred.
+
+    >>> from imr_torch.observe import Noise, noise_sentences
+    >>> noise_sentences(Noise(scale=3.0, widened=1.5), [0.004, 0.005, 0.006])[1]
+    'Residuals have more in common than such noise; intervals are 1.50 times as wide for it.'
+    """
+    if interval is None:
+        return []
+    low, middle, high = interval
+    lines = [f"Noise of single frames, inferred: {middle:.2g} in R* in the median frame (90 %: {low:.2g} to {high:.2g})."]
+    if noise.widened > _WIDE:
+        common = "Residuals have more in common than such noise; intervals are"
+        lines.append(f"{common} {noise.widened:.2f} times as wide for it.")
+    return lines

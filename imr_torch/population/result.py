@@ -23,6 +23,7 @@ DECISIVE = math.log(10.0)
 _DECISIVE_ROUGHLY = 10.0  # nats; the same where draws are not reliable, as of one gel for shots that agree nowhere
 LARGEST_SHOWN = 30.0
 """Nats; a larger log Bayes factor rests on the far tails of the shots' likelihoods."""
+_MISSED = 1.5  # times as wide as frames alone say, from which on shots are said to be missed by the model
 _TREND = 0.05  # p-value of a trend with the bubbles' size, all parameters together
 _ROUGH = 1.0  # nats of one shot's likelihood that its smooth form may miss at a draw
 
@@ -193,10 +194,10 @@ class Population:
     def cautions(self) -> tuple[str, ...]:
         """What makes the numbers doubtful, a sentence each."""
         said = []
-        if self.noise.widened > 1.0:
+        if self.noise.widened > _MISSED:
             said.append(
-                "the model misses curves of these shots; the fit of each passes through them, and intervals are widened for "
-                "what the residuals of all shots have in common."
+                "the model misses curves of these shots; the fit of each passes through them, and intervals are "
+                f"{self.noise.widened:.1f} times as wide for what the residuals have in common."
             )
         for trend in self.trends:
             if trend.p_value * len(self.trends) < _TREND and trend.name in self.varying:

@@ -1,8 +1,7 @@
 """Every shot fitted on its own, with one law of the noise for all, and its posterior weighted by draws.
 
-The noise is estimated from the residuals of these fits and not from a common one, in which shots that differ would look like
-noise; where the model misses the curves, frames are taken as independent and the noise is enlarged for residuals that drift
-(:mod:`imr_torch.assimilate.misfit_noise`). The cost is linear in the number of shots.
+The noise is inferred from the residuals of these fits and not from a common one, in which shots that differ would look like
+noise (:func:`imr_torch.assimilate.infer_frame_noise`). The cost is linear in the number of shots.
 """
 
 from collections.abc import Sequence
@@ -10,13 +9,19 @@ from dataclasses import replace
 
 import torch
 
-from imr_torch.assimilate import NOISE_ROUNDS, Assimilation, NoisePrior, Posterior, SearchOptions, assimilate, weigh
-from imr_torch.assimilate.misfit_noise import misfit_law
+from imr_torch.assimilate import (
+    NOISE_ROUNDS,
+    Assimilation,
+    FrameNoise,
+    FrameNoisePrior,
+    Posterior,
+    SearchOptions,
+    assimilate,
+    infer_frame_noise,
+    weigh,
+)
 from imr_torch.assimilate.noise_estimation import freedom_of
-from imr_torch.assimilate.noise_law import most_probable_law
 from imr_torch.errors import InputDataError
-from imr_torch.goodness import check_fit
-from imr_torch.goodness.score import LEVEL
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.observe.noise import FEWEST_RESIDUALS
@@ -50,7 +55,7 @@ def fit_shots(
         experiments: one a shot; repeats within one are taken to be of the same gel.
         simulator: makes the bubbles.
         noise: law of the observation noise; the published one by default.
-        rounds: how often its scale, constant part and correlation time are estimated from all residuals; 0 keeps it.
+        rounds: how often it is inferred from all residuals; 0 keeps it.
         samples: draws of each posterior.
         seed: of everything random.
         options: how the most probable gel is searched for.
@@ -81,23 +86,23 @@ def fit_shots(
         raise InputDataError(f"Shots of different names are needed, got {len(labels)}: {labels}.")
     belief = Belief((prior,), torch.zeros(1, dtype=torch.float64))
     law, options = noise or Noise(), options or _OPTIONS
-    current, fits = law, []
+    current, fits = None, []
     for number in range(rounds + 1):
         last = number == rounds
         how = options if last else replace(options, gradient=_GRADIENT, agreement=_AGREEMENT)
         near: Sequence[Assimilation | None] = fits or [None] * len(labels)
         found = []
-        for experiment, before in zip(experiments, near, strict=True):
-            own = child(seed, "shot", experiment.label, number)
-            batch = ExperimentBatch((experiment,), current)
+        for place, (experiment, before) in enumerate(zip(experiments, near, strict=True)):
+            own, batch = child(seed, "shot", experiment.label, number), ExperimentBatch((experiment,), law)
+            batch = batch if current is None else current.of_curve(place).applied(batch)
             found.append(assimilate(belief, batch, simulator, seed=own, options=how, near=before, warn=False))
             if progress:
                 progress(f"shots: {experiment.label}, {len(found)}/{len(labels)}, round {number + 1}")
         fits = found
         if not last:
-            current = shared_noise(fits, law, simulator, seed=child(seed, "noise", number))
+            current = shared_noise(fits, law, simulator)
             if progress:
-                progress(f"noise {current}")
+                progress(f"noise {law if current is None else current.law}")
     weighted = []
     for fit, label in zip(fits, labels, strict=True):
         weighted.append(weigh(fit, simulator, seed=child(seed, "weigh", label), samples=samples))
@@ -106,21 +111,18 @@ def fit_shots(
     return tuple(weighted)
 
 
-def shared_noise(fits: Sequence[Assimilation], law: Noise, simulator: Simulator, *, seed: int) -> Noise:
-    """The noise of one curve, one law for all shots, each with a gel of its own: of the camera, or of a misfit.
+def shared_noise(fits: Sequence[Assimilation], law: Noise, simulator: Simulator) -> FrameNoise | None:
+    """The noise of single frames, one law for all shots, each with a gel of its own, enlarged as their intervals need it.
 
-    The law as it was, where the fits left fewer than ten degrees of freedom.
+    None where the fits left fewer than ten degrees of freedom.
 
     Args:
         fits: of the shots.
-        law: to begin with; slope and drift keep their proportion, and the floor is that of the law or more.
+        law: to begin with.
         simulator: makes the bubbles.
-        seed: of the tests whether the model explains the shots.
     """
     pairs = [(found.fits[0], found.batch) for found in fits]
     if sum(float(batch.mask.sum()) - freedom_of(fit, batch) for fit, batch in pairs) < FEWEST_RESIDUALS:
-        return law
+        return None
     near = [Posterior(fit.prior, batch, simulator).neighbourhood(fit.point) for fit, batch in pairs]
-    tests = [check_fit(*pair, simulator, seed=child(seed, number)).p_value for number, pair in enumerate(pairs)]
-    explained = min((p for p in tests if p is not None), default=1.0) * len(tests) >= LEVEL  # Bonferroni
-    return (most_probable_law if explained else misfit_law)(near, NoisePrior(law))
+    return infer_frame_noise(near, FrameNoisePrior(law)).for_intervals

@@ -5,10 +5,10 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 
-from imr_torch.assimilate import BadFrame, NoiseEdge
+from imr_torch.assimilate import BadFrame
 from imr_torch.html import Block, Picture, Preformatted, Table, page
 from imr_torch.material import PARAMETERS, material
-from imr_torch.observe import Noise
+from imr_torch.observe import Noise, noise_sentences
 from imr_torch.results.collapse import collapse_rows
 from imr_torch.results.figures import draw_figures
 from imr_torch.results.named import NamedFigure
@@ -151,13 +151,10 @@ def setting_rows(document: Mapping[str, Any], best: str) -> list[tuple[str, str]
 
 
 def _noise_rows(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """How uncertain the noise is, what lies at an end of its range, which frames look bad, and whether their times jitter."""
-    rows, found = [], document.get("noise_intervals")
-    if found:
-        parts = (("scale", "multiple"), ("constant", "constant part (R*)"), ("correlation_time", "correlation time (t*)"))
-        values = ", ".join(f"{words} {found[name][0]:.3g} to {found[name][2]:.3g}" for name, words in parts)
-        rows.append(("Noise, 90 %", f"{values}; intervals and probabilities integrate over it"))
-    rows += [("Noise, end of range", str(NoiseEdge(**edge))) for edge in document.get("noise_edges", ())]
+    """How large the inferred noise is, curves with one of their own, frames that look bad, and whether their times jitter."""
+    rows = [("Noise of a frame", x) for x in noise_sentences(Noise(**document["noise"]), document.get("noise_interval"))]
+    for label, factor in document.get("noise_factors", {}).items():
+        rows.append(("A noise of its own", f"{label}: {factor:.2f} times that of the other curves"))
     bad: Mapping[str, Any] = document.get("bad_frames") or {"frames": ()}
     for title, frames in (("Frame that looks bad", bad["frames"]), ("Left out as bad", document.get("frames_left_out", ()))):
         rows += [(title, str(BadFrame(**frame))) for frame in frames]

@@ -172,7 +172,7 @@ def cross_validate(
             near = _restricted(assimilation, poor, [e for e in range(count) if e not in fold])
             seed_of_fit = child(seed, "fit", number)
             again = assimilate(near.prior, near.batch, simulator, seed=seed_of_fit, options=options, near=near)
-            noise = None if whole.noise is None else whole.noise.nodes.prior
+            noise = None if whole.noise is None else whole.noise.nodes
             again = weigh(again, simulator, seed=child(seed, "weigh", number), samples=samples, noise=noise)
             for i, fit in zip(poor, again.fits, strict=True):
                 found[i] = _refitted(found[i][0], assimilation.fits[i], fit), True

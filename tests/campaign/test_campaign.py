@@ -153,7 +153,7 @@ def test_that_noise_is_that_of_a_misfit_where_the_model_misses_what_was_told(tmp
     settings = replace(SETTINGS, policy=Random(), learner=replace(SETTINGS.learner, noise_rounds=2))
     run = campaign(tmp_path / "told", settings=settings)
     step = run.tell(laboratory.shoot(torch.tensor([400.0, 0.2], dtype=torch.float64), seed=0))
-    assert (step.noise.widened > 1.0) == missed
+    assert (step.noise.widened > 1.5) == missed
     assert campaign(tmp_path / "told", settings=settings).plan.noise == step.noise
 
 

@@ -190,7 +190,7 @@ def test_that_curves_and_times_of_one_gel_tell_more_than_either() -> None:
     either = [fitted(data), fitted((), curve, rest_radius=(0.15, 0.0015))]
     sds = [float(torch.linalg.det(r.assimilation["nhkv"].chol)) for r in (both, *either)]
     assert sds[0] < min(sds[1:])
-    assert both.noise_intervals is None
+    assert both.assimilation["nhkv"].sample.noise is None  # beside collapse times the noise is plugged in
     assert "plugged in" in both.report()
     assert len(both.collapse_times()) == 8
     assert [e.label for e in both.experiments] == ["curve"]

@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from imr_torch import PolytropicSimulator, wide_prior
-from imr_torch.assimilate import SearchOptions, assimilate, weigh
-from imr_torch.assimilate.noise_estimation import estimated_noise
+from imr_torch.assimilate import FrameNoisePrior, Posterior, SearchOptions, assimilate, infer_frame_noise, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import (
@@ -281,15 +280,19 @@ def test_that_a_parameter_that_rises_with_the_bubble_is_named() -> None:
 def test_that_shots_that_differ_are_not_taken_for_noise() -> None:
     experiments = shots(LinearSimulator(), (2.0, 0.5), 8)
     fits = fit_shots(PART, experiments, LinearSimulator(), noise=NOISE, rounds=0, options=OPTIONS, samples=25)
-    own = shared_noise(fits, NOISE, LinearSimulator(), seed=0)
+    shared = shared_noise(fits, NOISE, LinearSimulator())
+    assert shared is not None
+    own = shared.law.of_frames
     typical = [
         float(noise.sd(torch.tensor([0.5], dtype=torch.float64), torch.tensor([1.0], dtype=torch.float64)))
         for noise in (own, NOISE)
     ]
     assert typical[0] == pytest.approx(typical[1], rel=0.3)
     one = ExperimentBatch(tuple(experiments), NOISE)
-    common = estimated_noise(assimilate(PRIOR, one, LinearSimulator(), seed=0, options=OPTIONS), NOISE, LinearSimulator())
-    assert common.scale > 2.0 * own.scale  # one gel for all shots
+    together = assimilate(PRIOR, one, LinearSimulator(), seed=0, options=OPTIONS).fits[0]
+    near = Posterior(PART, one, LinearSimulator()).neighbourhood(together.point)
+    common = infer_frame_noise(near, FrameNoisePrior(NOISE)).for_intervals.law
+    assert common.sd(tensor(0.5), tensor(1.0)) > 2.0 * shared.law.sd(tensor(0.5), tensor(1.0))  # one gel for all shots
 
 
 def test_that_quantiles_of_equal_weights_are_those_of_the_sample() -> None:

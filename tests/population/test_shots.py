@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from imr_torch import PolytropicSimulator, wide_prior
-from imr_torch.assimilate import NoisePrior, Posterior, SearchOptions, assimilate
-from imr_torch.assimilate.misfit_noise import misfit_law
+from imr_torch.assimilate import FrameNoisePrior, Posterior, SearchOptions, assimilate, infer_frame_noise
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
 from imr_torch.population import fit_shots
@@ -25,7 +24,7 @@ def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_t
         shots = [ExperimentBatch((shot,), NOISE) for shot in batch.experiments]
         fits = [assimilate(BELIEF, shot, Slow(), seed=0, options=OPTIONS).fits[0] for shot in shots]
         near = [Posterior(PART, shot, Slow()).neighbourhood(fit.point) for shot, fit in zip(shots, fits, strict=True)]
-        law = misfit_law(near, NoisePrior(NOISE))
+        law = infer_frame_noise(near, FrameNoisePrior(NOISE)).for_intervals.law
         assert law.correlation_time == 0.0
         for kind, scale in (("independent", law.scale / law.widened), ("widened", law.scale)):
             for shot, gel in zip(shots, gels, strict=True):
@@ -45,5 +44,4 @@ def test_that_the_noise_is_that_of_a_misfit_where_the_model_misses_the_shots(mis
         shots.append(laboratory.shoot(torch.tensor([400.0, 0.22]).double(), seed=number, label=f"shot {number}"))
     fits = fit_shots(wide_prior(["nhkv"])["nhkv"], shots, simulator, samples=64, options=replace(OPTIONS, raw_samples=16))
     noise = fits[0].batch.noise
-    assert (noise.widened > 1.0) == missed
-    assert not missed or noise.correlation_time == 0.0
+    assert (noise.widened > 1.5) == missed
