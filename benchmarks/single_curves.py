@@ -5,10 +5,11 @@
   python benchmarks/single_curves.py table --json single_curves.jsonl
 
 `run` simulates three shots of a gel, a curve each, with 24 + 28 modes and steps of 1e-6 (the diagnosis has 18 + 18), with
-errors of Rmax, time zero and R_inf. They are read as a laboratory's curves are: Rmax, time zero and the window from the curve
-itself, R_inf as stated, everything else by default. The kinds of noise are those of `NOISES`; `effect` has an effect of the
-library and the published noise times .4. `labelled` takes sets of a separate program (one repeat of each, and the mean of all
-repeats as one curve, which has the noise of one over the root of their number). Each line has the p-value by the inferred noise
+errors of Rmax, time zero and R_inf. They are read as a laboratory's curves are: Rmax, time zero, R_inf and the window from the
+curve itself, everything else by default; with `--stated` R_inf is stated with an error of 1 %. The kinds of noise are those of
+`NOISES`; `effect` has an effect of the library and the published noise times .4; in `gels` each shot has a gel of its own
+(G and mu differ by 30 %). `labelled` takes sets of a separate program (one repeat of each, and the mean of all repeats as one curve,
+which has the noise of one over the root of their number). Each line has the p-value by the inferred noise
 and by the true one. `characterize` runs on every fifth set without an effect (`--every`). A run that was cut off continues.
 """
 
@@ -46,6 +47,7 @@ FITS = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
 BASE = wide_prior(("nhkv",)).models[0]
 SHOTS, LENGTH = 3, 4.0
 _DENSE = 801
+ALL = "all but slow and gels"
 
 Curve = tuple[Tensor, Tensor, Noise]
 """Times, noisy radius and the law of its noise in single frames, dimensionless."""
@@ -99,9 +101,9 @@ NOISES = {
 }
 
 
-def simulated(number: int, kind: str) -> tuple[TraceSet, list[Noise], dict[str, Any]]:
+def simulated(number: int, kind: str, stated: bool = False) -> tuple[TraceSet, list[Noise], dict[str, Any]]:
     """Three curves of a random gel, the law of each one's noise, and the truth; what cannot be simulated is drawn again."""
-    source = generator(child(71000, "single curves", kind, number))
+    source = generator(child(72000, "single curves", kind, number))
     names = list(LIBRARY)
     while True:
         values = {k: low * (high / low) ** float(torch.rand((), generator=source)) for k, (low, high) in GEL.items()}
@@ -115,28 +117,41 @@ def simulated(number: int, kind: str) -> tuple[TraceSet, list[Noise], dict[str, 
             tuple(Experiment(f"{k}", tuple(d), times, blank, NUISANCE) for k, d in enumerate(designs.tolist()))
         )
         shifts = torch.randn(1, SHOTS, 3, generator=source, dtype=torch.float64) * plan.nuisance_sds
-        clean = predict(TRUTH, PARAMETERS.pack(values)[None], plan, shifts)[0]
+        own = 0.3 * torch.randn(SHOTS, len(GEL), generator=source, dtype=torch.float64) if kind == "gels" else None
+        clean = _clean(plan, values, shifts, own)
         if bool(torch.isfinite(clean).all()):
             break
-    camera = white(Noise(scale=0.4)) if kind == "effect" else NOISES[kind]
+    camera = white(Noise(scale=0.4)) if kind == "effect" else NOISES["published" if kind == "gels" else kind]
     traces, noise = [], []
     for shot, (weber, rest) in enumerate(designs.tolist()):
         t, r, law = camera(times, clean[shot], shot, source)
-        traces.append(trace(f"shot {shot}", t, r, weber, rest))
+        traces.append(trace(f"shot {shot}", t, r, weber, rest if stated else None))
         noise.append(law)
     return TraceSet(tuple(traces)), noise, truth
 
 
-def trace(name: str, times: Tensor, radius: Tensor, weber: float, rest: float) -> RadiusTrace:
-    """A dimensionless curve as a laboratory stores it, with R_inf stated, impossible frames left out as the reader does."""
+def _clean(plan: ExperimentBatch, values: dict[str, float], shifts: Tensor, own: Tensor | None) -> Tensor:
+    """True curves, of one gel, or of gels whose properties differ by logarithms ``SHOTS x 2``."""
+    if own is None:
+        return predict(TRUTH, PARAMETERS.pack(values)[None], plan, shifts)[0]
+    rows = []
+    for shot, logs in enumerate(own.exp().tolist()):
+        gel = values | {name: values[name] * factor for name, factor in zip(GEL, logs, strict=True)}
+        one = replace(plan, experiments=plan.experiments[shot : shot + 1])
+        rows.append(predict(TRUTH, PARAMETERS.pack(gel)[None], one, shifts[:, shot : shot + 1])[0, 0])
+    return torch.stack(rows)
+
+
+def trace(name: str, times: Tensor, radius: Tensor, weber: float, rest: float | None) -> RadiusTrace:
+    """A dimensionless curve as a laboratory stores it, perhaps with R_inf, impossible frames left out as the reader does."""
     size = float(Surroundings().max_radius(torch.tensor(weber, dtype=torch.float64)))
     seen = radius * size > 1e-7
-    given = Given(rest_radius_m=rest * size, rest_radius_sd_m=0.01 * rest * size, rest_settled=True)
+    given = Given() if rest is None else Given(rest_radius_m=rest * size, rest_radius_sd_m=0.01 * rest * size)
     time_s = times * float(Surroundings().time_scale(size))
     return RadiusTrace(name, time_s[seen], radius[seen] * size, "simulated", given)
 
 
-def labelled(folder: Path) -> Iterator[tuple[str, TraceSet, Noise, dict[str, Any]]]:
+def labelled(folder: Path, stated: bool) -> Iterator[tuple[str, TraceSet, Noise, dict[str, Any]]]:
     """Sets of a separate program: name, curves, their noise and the truth; the second repeat, then the mean of all."""
     for name, label in json.loads((folder / "labels.json").read_text()).items():
         loaded = np.load(folder / f"{name}.npz")
@@ -147,7 +162,8 @@ def labelled(folder: Path) -> Iterator[tuple[str, TraceSet, Noise, dict[str, Any
             for shot, (t, r, rest) in enumerate(zip(loaded["time_s"], loaded["radius_m"], loaded["rinf_star"], strict=True)):
                 radius = torch.tensor(pick(r))
                 seen, size = radius > 1e-7, float(r.mean(0).max())
-                given = Given(rest_radius_m=rest * size, rest_radius_sd_m=0.01 * rest * size, rest_settled=True)
+                known = Given(rest_radius_m=rest * size, rest_radius_sd_m=0.01 * rest * size)
+                given = known if stated else Given()
                 traces.append(RadiusTrace(f"shot {shot}", torch.tensor(t)[seen], radius[seen], name, given))
             law = Noise() if kind == "one repeat" else Noise(scale=repeats**-0.5)
             yield f"{kind}/{name}", TraceSet(tuple(traces)), law, truth
@@ -211,18 +227,18 @@ def with_noise(laws: Sequence[Noise]) -> Callable[[ExperimentBatch], ExperimentB
 def tasks(args: argparse.Namespace) -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
     """Key and work of every set that was asked for."""
     if args.what == "labelled":
-        for key, traces, law, truth in labelled(Path(args.folder)):
+        for key, traces, law, truth in labelled(Path(args.folder), args.stated):
             yield key, partial(row, key, key.split("/")[0], traces, truth, with_noise([law] * SHOTS))
         return
-    kinds = args.only.split(",") if args.only else [*NOISES, "effect"]
+    kinds = args.only.split(",") if args.only else [*NOISES, "gels", "effect"]
     for number in range(args.sets):
         kind = kinds[number % len(kinds)]
 
         def work(number: int = number, kind: str = kind) -> dict[str, Any]:
-            traces, laws, truth = simulated(number, kind)
+            traces, laws, truth = simulated(number, kind, args.stated)
             found = row(f"{kind}/{number}", kind, traces, truth, with_noise(laws))
             if (
-                kind not in ("effect", "slow")
+                kind not in ("effect", "slow", "gels")
                 and args.every
                 and (number // len(kinds)) % args.every == 0
                 and "refused" not in found
@@ -239,8 +255,9 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     quiet = [r for r in rows if r["truth"]["effect"] == "none"]
     kinds = list(dict.fromkeys(r["kind"] for r in quiet))
-    for kind in [*kinds, "all but slow"]:
-        own = [r for r in quiet if (r["kind"] == kind or (kind == "all but slow" and r["kind"] != "slow"))]
+    plain = [kind for kind in kinds if kind not in ("slow", "gels")]
+    for kind in [*kinds, ALL]:
+        own = [r for r in quiet if r["kind"] == kind or (kind == ALL and r["kind"] in plain)]
         told = [r for r in own if "p" in r]
         ps, known = [r["p"] for r in told], [r["p_known"] for r in told]
         ratios = sorted(r["noise_over_truth"] for r in told if "noise_over_truth" in r)
@@ -252,8 +269,10 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
             f"{kstest(ps, 'uniform').pvalue:.2f} ({kstest(known, 'uniform').pvalue:.2f}) | {spread} | "
             f"{len(own) - len(told) + sum(not r['converged'] for r in told)} |"
         )
-    slow_named = [r for r in quiet if r["kind"] == "slow" and r.get("verdict") in ("effect", "class")]
-    lines.append(f"\nSlow noise: {sum(r['kind'] == 'slow' for r in quiet)} sets, named an effect: {len(slow_named)}.")
+    for kind, words in (("slow", "Slow noise"), ("gels", "Shots of differing gels")):
+        own = [r for r in quiet if r["kind"] == kind]
+        named = sum(r.get("verdict") in ("effect", "class") for r in own)
+        lines.append(f"\n{words}: {len(own)} sets, named an effect: {named}.")
     checked = [r for r in quiet if r.get("held")]
     if checked:
         ps = [r["p_fit"] for r in checked if r["p_fit"] is not None]
@@ -296,6 +315,7 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=200)
     parser.add_argument("--only", help="kinds, separated by commas")
     parser.add_argument("--every", type=int, default=5, help="of the sets without an effect is characterised too; 0: none")
+    parser.add_argument("--stated", action="store_true", help="R_inf is stated, with an error of 1 %%")
     parser.add_argument("--part", default="0/1", help="this part of so many, for several processes")
     args = parser.parse_args()
     path = Path(args.json)

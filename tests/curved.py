@@ -45,6 +45,12 @@ class Quadrature:
     mean: Tensor
     covariance: Tensor
     log_evidence: float
+    controls: Tensor
+    weights: Tensor
+
+    def below(self, column: int, value: float) -> float:
+        """Probability that a coordinate is below a value."""
+        return float(self.weights[self.controls[:, column] < value].sum())
 
 
 def quadrature(fit: ModelFit, batch: ExperimentBatch, simulator: CurvedSimulator, *, points: int = 401) -> Quadrature:
@@ -57,4 +63,4 @@ def quadrature(fit: ModelFit, batch: ExperimentBatch, simulator: CurvedSimulator
     mean = weights @ controls
     covariance = (weights[:, None] * (controls - mean)).mT @ (controls - mean)
     cell = 2.0 * math.log(float(axis[1] - axis[0]))
-    return Quadrature(mean, covariance, float(torch.logsumexp(logs, dim=0)) + cell)
+    return Quadrature(mean, covariance, float(torch.logsumexp(logs, dim=0)) + cell, controls, weights)

@@ -17,6 +17,7 @@ from imr_torch.cli import main
 from imr_torch.errors import InputDataError
 from imr_torch.files import check_target, write_json
 from imr_torch.material import Belief, ModelBelief
+from tests.clouds import cloud
 
 EXAMPLE = example_gel()
 QUICK = ["--physics", "polytropic", "--quiet"]
@@ -88,12 +89,12 @@ def test_that_a_fit_keeps_what_is_known(tmp_path) -> None:
 def test_that_a_saved_cloud_that_is_not_finite_or_fits_nothing_is_refused() -> None:
     part = wide_prior(["nhkv"])["nhkv"]
     draws, eyes = torch.zeros(3, 2, dtype=torch.float64), torch.eye(2, dtype=torch.float64).expand(3, 2, 2)
-    good = part.with_cloud(draws, eyes)
+    good = part.with_cloud(cloud(draws, eyes))
     assert isinstance(good, ModelBelief)
     with pytest.raises(InputDataError, match="must be finite"):
-        part.with_cloud(draws + torch.nan, eyes)
+        cloud(draws + torch.nan, eyes)
     with pytest.raises(InputDataError, match="expected n x d and n x d x d"):
-        part.with_cloud(draws, eyes[:2])
+        cloud(draws, eyes[:2])
 
 
 def test_that_a_curve_that_cannot_be_fitted_does_not_stop_the_others(tmp_path, capsys) -> None:

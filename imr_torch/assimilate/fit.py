@@ -12,8 +12,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.importance import ImportanceSample
-from imr_torch.material import Belief, ModelBelief
+from imr_torch.assimilate.importance import ImportanceSample, weighted_quantiles
+from imr_torch.material import Belief, Cloud, ModelBelief
 from imr_torch.observe import ExperimentBatch
 
 PROMISED = 2.0
@@ -197,9 +197,11 @@ class ModelFit:
         if sample.precisions is None:
             return belief
         chosen, unscale = sample.spaced(_CLOUD), torch.linalg.inv(self.prior.chol)
-        return belief.with_cloud(
-            self.prior.unwhitened(sample.controls[chosen]), unscale.mT @ sample.precisions[chosen] @ unscale
-        )
+        levels = torch.special.ndtr(torch.tensor(Cloud.SCORES, dtype=torch.float64))
+        columns = self.prior.unwhitened(sample.controls).unbind(1)
+        marginals = torch.stack([weighted_quantiles(column, sample.weights, levels) for column in columns], 1)
+        precisions = unscale.mT @ sample.precisions[chosen] @ unscale
+        return belief.with_cloud(Cloud(self.prior.unwhitened(sample.controls[chosen]), precisions, marginals))
 
     def _believed(self, mean: Tensor, covariance: Tensor) -> ModelBelief:
         """The prior with a Gaussian of ``v``."""

@@ -64,6 +64,25 @@ def reliable(pareto_k: float, effective_samples: float, samples: int) -> bool:
     return pareto_k <= largest_shape(samples) and effective_samples >= max(_ENOUGH, 0.1 * samples)
 
 
+def weighted_quantiles(
+    values: Float[Tensor, "draws"], weights: Float[Tensor, "draws"], levels: Float[Tensor, "levels"]
+) -> Float[Tensor, "levels"]:
+    """Quantiles of weighted draws, interpolated between them.
+
+    >>> import torch
+    >>> from imr_torch.assimilate.importance import weighted_quantiles
+    >>> values, weights = torch.tensor([[3.0, 1.0, 2.0], [0.25, 0.25, 0.5]], dtype=torch.float64)
+    >>> weighted_quantiles(values, weights, torch.tensor([0.5], dtype=torch.float64)).tolist()
+    [2.0]
+    """
+    order = values.argsort()
+    below = weights[order].cumsum(0) - 0.5 * weights[order]
+    right = torch.searchsorted(below, levels).clamp(1, len(values) - 1)
+    low, high = below[right - 1], below[right]
+    share = ((levels - low) / (high - low).clamp_min(1e-300)).clamp(0.0, 1.0)
+    return torch.lerp(values[order][right - 1], values[order][right], share)
+
+
 @dataclass(frozen=True)
 class NoiseSample:
     """Weighted draws under each of the noise laws over which they are integrated.

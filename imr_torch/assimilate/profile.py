@@ -167,15 +167,16 @@ def _held(
 
 
 def _without(prior: ModelBelief, i: int, control: float) -> ModelBelief:
-    """The prior of the other parameters, with one held at a control."""
+    """The prior of the other parameters given one that is held at a control."""
     rest = [j for j in range(len(prior.names)) if j != i]
-    covariance = (prior.chol @ prior.chol.mT)[rest][:, rest]
+    whole = prior.chol @ prior.chol.mT
+    slope = whole[rest, i] / whole[i, i]
+    mean = prior.mean[rest] + slope * (control - prior.mean[i])
+    covariance = whole[rest][:, rest] - torch.outer(slope, whole[i, rest])
     value = float(prior.marginals[i].to_physical(torch.tensor(control, dtype=torch.float64)))
     known: Mapping[str, float] = {**prior.known, prior.names[i]: value}
     marginals = tuple(prior.marginals[j] for j in rest)
-    return replace(
-        prior, marginals=marginals, mean=prior.mean[rest], chol=torch.linalg.cholesky(covariance), known=known, cloud=None
-    )
+    return replace(prior, marginals=marginals, mean=mean, chol=torch.linalg.cholesky(covariance), known=known, cloud=None)
 
 
 def _limits(values: list[float], fall: list[float]) -> tuple[float | None, float | None]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import torch
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.assimilate.importance import weighted_quantiles
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, laplace_evidence
@@ -24,7 +25,6 @@ from imr_torch.material import LIBRARY, Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.population import SCALE, GaussianShots, coordinate_units
 from imr_torch.population.quadrature import MOST, any_scatter, cells
-from imr_torch.population.result import quantiles
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 
@@ -151,7 +151,7 @@ def gel_scatter(report: GapReport, simulator: Simulator, *, scale: float = SCALE
 
 def _interval(values: torch.Tensor, weights: torch.Tensor) -> tuple[float, float, float]:
     """5, 50, 95 % quantile over the cells of a grid."""
-    low, middle, high = quantiles(values, weights)
+    low, middle, high = weighted_quantiles(values, weights, torch.tensor((0.05, 0.5, 0.95), dtype=values.dtype)).tolist()
     return low, middle, high
 
 

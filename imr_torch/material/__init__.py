@@ -6,7 +6,7 @@ Every module of this folder is imported, so that a new file with a model or an e
 import importlib
 import pkgutil
 
-from imr_torch.material.belief import Belief, Draws, ModelBelief
+from imr_torch.material.belief import Belief, Cloud, Draws, ModelBelief
 from imr_torch.material.cases import CASES, ReferenceCase, reference_case, wide_prior
 from imr_torch.material.effect import LIBRARY, Effect, library, register_effect
 from imr_torch.material.integral import (
@@ -35,6 +35,7 @@ __all__ = [
     "PARAMETERS",
     "TERMS",
     "Belief",
+    "Cloud",
     "Draws",
     "Effect",
     "LogNormal",

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -35,16 +35,26 @@ class Cloud:
     Args:
         controls: of equal weight.
         precisions: of the controls, locally.
+        marginals: quantiles of each control by all draws, weighted, at the probabilities of :attr:`SCORES`.
     """
+
+    SCORES: ClassVar[tuple[float, ...]] = tuple(0.25 * k for k in range(-12, 13))
+    """Standard normal scores at whose probabilities quantiles are stored."""
 
     controls: Float[Tensor, "draws controls"]
     precisions: Float[Tensor, "draws controls controls"]
+    marginals: Float[Tensor, "scores controls"]
 
     def __post_init__(self) -> None:
         if self.controls.ndim != 2 or self.precisions.shape != (*self.controls.shape, self.controls.shape[-1]):
             raise InputDataError(
                 f"Cloud: controls have shape {tuple(self.controls.shape)} and precisions {tuple(self.precisions.shape)}; "
                 "expected n x d and n x d x d."
+            )
+        if self.marginals.shape != (len(self.SCORES), self.controls.shape[1]) or not bool(self.marginals.isfinite().all()):
+            raise InputDataError(
+                f"Cloud: marginals have shape {tuple(self.marginals.shape)}; expected {len(self.SCORES)} x "
+                f"{self.controls.shape[1]} finite numbers; infer the belief again."
             )
         if not len(self.controls) or not bool(torch.isfinite(self.controls).all() and torch.isfinite(self.precisions).all()):
             raise InputDataError("Cloud: controls and precisions must be finite, of at least one draw; infer the belief again.")
@@ -167,10 +177,17 @@ class ModelBelief:
         return torch.where(inside & ~torch.isnan(density), density, -math.inf)
 
     def quantile(self, levels: Sequence[float] | Float[Tensor, "levels"]) -> Float[Tensor, "levels controls"]:
-        """Quantiles of each marginal: ``levels`` (n) to ``n x d``, SI. Exact, since each map is monotone."""
-        levels = torch.as_tensor(levels, dtype=self.mean.dtype, device=self.mean.device)
-        sd = torch.linalg.norm(self.chol, dim=-1)
-        return self.physical(self.mean + sd * torch.special.ndtri(levels)[:, None])
+        """Quantiles of each marginal: ``levels`` (n) to ``n x d``, SI; of the draws where the belief has a cloud.
+
+        Those of a Gaussian are exact, since each map is monotone.
+        """
+        scores = torch.special.ndtri(torch.as_tensor(levels, dtype=self.mean.dtype, device=self.mean.device))
+        if self.cloud is None:
+            return self.physical(self.mean + torch.linalg.norm(self.chol, dim=-1) * scores[:, None])
+        known = torch.tensor(Cloud.SCORES, dtype=self.mean.dtype, device=self.mean.device)
+        right = torch.searchsorted(known, scores).clamp(1, len(known) - 1)
+        share = ((scores - known[right - 1]) / (known[right] - known[right - 1])).clamp(0.0, 1.0)[:, None]
+        return self.physical(torch.lerp(self.cloud.marginals[right - 1], self.cloud.marginals[right], share))
 
     @cached_property
     def _nodes(self) -> tuple[Tensor, Tensor]:
@@ -204,11 +221,9 @@ class ModelBelief:
         """The same maps with another Gaussian of the controls, and no cloud."""
         return replace(self, mean=mean, chol=chol, cloud=None)
 
-    def with_cloud(
-        self, controls: Float[Tensor, "draws controls"], precisions: Float[Tensor, "draws controls controls"]
-    ) -> "ModelBelief":
-        """The same Gaussian with draws that have its shape: ``n x d`` controls and their ``n x d x d`` precisions."""
-        return replace(self, cloud=Cloud(controls, precisions))
+    def with_cloud(self, cloud: Cloud) -> "ModelBelief":
+        """The same Gaussian with draws that have the shape of the belief."""
+        return replace(self, cloud=cloud)
 
 
 def beside(part: ModelBelief, priors: Mapping[str, Marginal]) -> ModelBelief:
@@ -251,10 +266,11 @@ def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
     cloud = entry.get("cloud")
     if cloud is None:
         return part
-    controls, precisions = (torch.tensor(cloud[name], dtype=torch.float64) for name in ("controls", "precisions"))
+    names = ("controls", "precisions", "marginals")
+    controls, precisions, quantiles = (torch.tensor(cloud[name], dtype=torch.float64) for name in names)
     if controls.ndim == 2 and controls.shape[1] != len(mean):
         raise InputDataError(f"Saved cloud of {entry['model']!r} has {controls.shape[1]} parameters; expected {len(mean)}.")
-    return part.with_cloud(controls, precisions)
+    return part.with_cloud(Cloud(controls, precisions, quantiles))
 
 
 def _part_to_dict(part: ModelBelief) -> dict[str, Any]:
@@ -268,7 +284,7 @@ def _part_to_dict(part: ModelBelief) -> dict[str, Any]:
         "known": dict(part.known),
     }
     if part.cloud is not None:
-        entry["cloud"] = {"controls": part.cloud.controls.tolist(), "precisions": part.cloud.precisions.tolist()}
+        entry["cloud"] = {name: value.tolist() for name, value in vars(part.cloud).items()}
     return entry
 
 

@@ -1,7 +1,7 @@
 """What is known of a population of gels after some shots: intervals, evidence, errors, and the same as text and for JSON."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from imr_torch.assimilate.importance import weighted_quantiles
 from imr_torch.labels import plain
 from imr_torch.material import LogNormal, ModelBelief, Parameter, material
 from imr_torch.observe import Noise
@@ -23,6 +24,7 @@ DECISIVE = math.log(10.0)
 _DECISIVE_ROUGHLY = 10.0  # nats; the same where draws are not reliable, as of one gel for shots that agree nowhere
 LARGEST_SHOWN = 30.0
 """Nats; a larger log Bayes factor rests on the far tails of the shots' likelihoods."""
+_LEVELS = torch.tensor(LEVELS, dtype=torch.float64)
 _MISSED = 1.5  # times as wide as frames alone say, from which on shots are said to be missed by the model
 _TREND = 0.05  # p-value of a trend with the bubbles' size, all parameters together
 _ROUGH = 1.0  # nats of one shot's likelihood that its smooth form may miss at a draw
@@ -186,7 +188,7 @@ class Population:
 
     def _physical(self, controls: Tensor, name: str) -> Interval:
         column = self.prior.names.index(name)
-        low, middle, high = quantiles(controls[:, column], self.found.weights)
+        low, middle, high = weighted_quantiles(controls[:, column], self.found.weights, _LEVELS).tolist()
         values = self.prior.marginals[column].to_physical(torch.tensor([low, middle, high], dtype=torch.float64)).tolist()
         return values[0], values[1], values[2]
 
@@ -336,20 +338,8 @@ def scatter_words(prior: ModelBelief, name: str, interval: Interval) -> str:
 
 def scatter_interval(found: WeightedPopulation, column: int, units: Float[Tensor, "controls"]) -> Interval:
     """5, 50, 95 % quantile of one scatter."""
-    low, middle, high = quantiles(found.scatter[:, column] * units[column], found.weights)
+    low, middle, high = weighted_quantiles(found.scatter[:, column] * units[column], found.weights, _LEVELS).tolist()
     return low, middle, high
-
-
-def quantiles(values: Float[Tensor, "draws"], weights: Float[Tensor, "draws"], levels: Sequence[float] = LEVELS) -> list[float]:
-    """Quantiles of weighted draws, interpolated between them."""
-    order = values.argsort()
-    below = weights[order].cumsum(0) - 0.5 * weights[order]
-    wanted = torch.tensor(levels, dtype=values.dtype)
-    right = torch.searchsorted(below, wanted).clamp(1, len(values) - 1)
-    low, high = below[right - 1], below[right]
-    share = ((wanted - low) / (high - low).clamp_min(1e-300)).clamp(0.0, 1.0)
-    sorted_values = values[order]
-    return (sorted_values[right - 1] + share * (sorted_values[right] - sorted_values[right - 1])).tolist()
 
 
 def _range(entry: Parameter, interval: Interval) -> str:

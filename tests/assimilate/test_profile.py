@@ -1,13 +1,17 @@
 """The profile likelihood against a posterior that is nearly Gaussian, and where the data leave one side open."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.assimilate import Assimilation, SearchOptions, assimilate, profile
 from imr_torch.errors import InputDataError
-from imr_torch.material import PARAMETERS
+from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+from tests import linear
+from tests.linear import tensor
 
 SIMULATOR = PolytropicSimulator()
 
@@ -36,6 +40,22 @@ def test_that_a_side_that_the_data_leave_open_has_no_limit(fits: Assimilation) -
     assert alpha.limits[0] is None
     assert min(alpha.fall) == 0.0
     assert list(alpha.values) == sorted(alpha.values)
+
+
+def test_that_a_profile_under_a_correlated_prior_is_that_of_the_closed_form() -> None:
+    """A linear model: over the other parameter the cost is least on a line, and the held one's own prior is taken out."""
+    chol = tensor(1.0, 0.0, 0.95, (1.0 - 0.95**2) ** 0.5).reshape(2, 2) * 1.5
+    part = replace(linear.prior(("nhkv",)).models[0], chol=chol)
+    belief, batch = Belief((part,), torch.zeros(1, dtype=torch.float64)), linear.experiments(1)
+    fit = assimilate(belief, batch, linear.LinearSimulator(), seed=0, options=SearchOptions(raw_samples=8, starts=2)).fits[0]
+    (found,) = profile(fit, batch, linear.LinearSimulator(), names=("G",))
+    truth = linear.exact(part, batch)
+    mean, covariance = part.unwhitened(truth.mean), chol @ truth.covariance @ chol.mT
+    controls = part.marginals[0].to_control(torch.tensor(found.values, dtype=torch.float64))
+    cost = 0.5 * (controls - mean[0]).square() / covariance[0, 0]
+    own = 0.5 * (controls - part.mean[0]).square() / (chol @ chol.mT)[0, 0]
+    expected = cost - own
+    torch.testing.assert_close(torch.tensor(found.fall), (expected - expected.min()).float(), atol=2e-3, rtol=1e-3)
 
 
 def test_that_an_unknown_parameter_is_refused(fits: Assimilation) -> None:

@@ -115,6 +115,17 @@ def test_that_moments_of_a_curved_posterior_equal_quadrature(bend: float) -> Non
     assert not bend or float(gaussian) > 2.0 * float(repaired)
 
 
+def test_that_quantiles_of_a_curved_posterior_are_those_of_its_draws_and_not_of_a_gaussian() -> None:
+    simulator, batch = CurvedSimulator(1.5), experiments(1)
+    fit = weigh(fitted(batch, simulator), simulator, seed=0, samples=4096, rounds=6).fits[0]
+    assert fit.verdict is Verdict.REPAIRED
+    truth, levels = quadrature(fit, batch, simulator), [0.05, 0.5, 0.95]
+    for column, marginal in enumerate(fit.prior.marginals):
+        controls = marginal.to_control(fit.posterior.quantile(levels)[:, column])
+        found = (controls - fit.prior.mean[column]) / fit.prior.chol[column, column]
+        assert [truth.below(column, float(x)) for x in found] == pytest.approx(levels, abs=0.03)
+
+
 def test_that_the_draws_of_a_model_do_not_depend_on_company() -> None:
     batch = experiments(2, nuisance=BOTH)
     together = weigh(fitted(batch, models=("newtonian", "nhkv")), LinearSimulator(), seed=0)

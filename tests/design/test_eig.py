@@ -23,6 +23,7 @@ from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.material import Belief, reference_case
 from imr_torch.observe import Noise, Nuisance
 from imr_torch.simulate import PolytropicSimulator, Stepping
+from tests.clouds import cloud
 from tests.design.linear_camera import (
     DESIGNS,
     ONE,
@@ -64,7 +65,7 @@ def test_that_a_belief_that_bends_gains_as_its_cloud_and_not_as_its_gaussian(dra
     narrow, controls = correlated(), part.controls(32, seed=0)
     precision = torch.cholesky_inverse(part.chol).expand(32, -1, -1)
     wide = replace(part, chol=5.0 * part.chol)
-    bent = Belief((wide.with_cloud(controls, precision),), torch.zeros(1, dtype=torch.float64))
+    bent = Belief((wide.with_cloud(cloud(controls, precision)),), torch.zeros(1, dtype=torch.float64))
     fat = Belief((wide,), torch.zeros(1, dtype=torch.float64))
     found = gain(bent, DESIGNS[:1], how, estimator)
     assert found.value == pytest.approx(exact(narrow, DESIGNS[:1], how), rel=1e-7)

@@ -25,6 +25,7 @@ from imr_torch.material import (
     reference_case,
     wide_prior,
 )
+from tests.clouds import cloud
 
 
 def tensor(*values) -> Tensor:
@@ -440,10 +441,11 @@ def test_that_a_cloud_is_kept_on_disk_and_goes_with_another_gaussian(tmp_path: P
     belief = reference_case("stiff-pa").prior
     part = belief.models[1]
     assert "cloud" not in belief.to_dict()["models"][1]
-    bent = part.with_cloud(part.controls(5, seed=1), torch.eye(3, dtype=torch.float64).expand(5, -1, -1) / 3.0)
+    bent = part.with_cloud(cloud(part.controls(5, seed=1), torch.eye(3, dtype=torch.float64).expand(5, -1, -1) / 3.0))
     Belief((belief.models[0], bent), belief.log_probabilities).save(tmp_path / "belief.json")
     back = Belief.load(tmp_path / "belief.json")
     assert back.models[0].cloud is None
     assert torch.equal(back.models[1].cloud.controls, bent.cloud.controls)
     assert torch.equal(back.models[1].cloud.precisions, bent.cloud.precisions)
+    assert torch.equal(back.models[1].quantile([0.2, 0.9]), bent.quantile([0.2, 0.9]))
     assert bent.with_gaussian(part.mean, part.chol).cloud is None

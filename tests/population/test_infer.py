@@ -9,6 +9,7 @@ from torch import Tensor
 
 from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.assimilate import FrameNoisePrior, Posterior, SearchOptions, assimilate, infer_frame_noise, weigh
+from imr_torch.assimilate.importance import weighted_quantiles
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import (
@@ -21,7 +22,6 @@ from imr_torch.observe import (
     predict,
 )
 from imr_torch.population import Population, ShotLikelihood, fit_shots, infer_population
-from imr_torch.population.result import quantiles
 from imr_torch.population.sampling import Problem, jackknife_error, sample_population
 from imr_torch.population.shots import shared_noise
 from imr_torch.random import generator
@@ -297,7 +297,7 @@ def test_that_shots_that_differ_are_not_taken_for_noise() -> None:
 
 def test_that_quantiles_of_equal_weights_are_those_of_the_sample() -> None:
     values = torch.randn(2001, generator=generator(0), dtype=torch.float64)
-    own = quantiles(values, torch.full((2001,), 1.0 / 2001, dtype=torch.float64))
+    own = weighted_quantiles(values, torch.full((2001,), 1.0 / 2001, dtype=torch.float64), tensor(0.05, 0.5, 0.95)).tolist()
     expected = torch.quantile(values, tensor(0.05, 0.5, 0.95)).tolist()
     assert own == pytest.approx(expected, abs=5e-3)
 
