@@ -62,7 +62,8 @@ class Landmarks:
         rest_radius_m: equilibrium radius in m, or None.
         rest_radius_sd_m: its standard deviation, or None.
         rest_settled: whether the bubble has come to rest within the record (a quiet tail, at least half a cycle long).
-        rest_method: "settled tail", "last cycles", "first rebound", "as given", "as stated" or "not in record".
+        rest_method: "settled tail", "last cycles", "first rebound", "as given", "as stated", "not in record", or
+            "other curves" (:func:`imr_torch.observe.prepare`).
         collapse_times_s: times of the minima after the maximum radius.
         rebound_times_s: times of the maxima after the first collapse.
         rebound_radii_m: their radii.

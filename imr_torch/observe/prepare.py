@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.convert import to_experiment
@@ -13,6 +13,7 @@ from imr_torch.observe.traces import RadiusTrace, TraceSet
 from imr_torch.units import Surroundings
 
 _MIN_FRAMES = 5
+_BORROWED_SD = 0.4  # of R_inf/Rmax, where it is that of other curves
 
 
 @dataclass(frozen=True)
@@ -96,23 +97,42 @@ def prepare(
             f"rest_radius is {rest_radius[0]:g}:{rest_radius[1]:g}; expected R_inf/Rmax between 0 and 1 and a standard "
             "deviation >= 0, for example 0.2:0.1."
         )
-    experiments, landmarks, frames, firsts, cautions = [], {}, {}, {}, []
+    landmarks = {trace.experiment_id: find_landmarks(trace) for trace in traces}
+    cautions = [] if rest_radius else _borrowed(landmarks)
+    experiments, frames, firsts, outer = [], {}, {}, surroundings or Surroundings()
     for trace in traces:
         where, name = _where(trace), trace.experiment_id
-        marks = find_landmarks(trace)
-        outer = surroundings or Surroundings()
+        marks = landmarks[name]
         cautions += check_maximum(trace, marks, outer)
         whole = to_experiment(trace, marks, outer, rest_radius=rest_radius)
         first = _collapse(whole, marks, outer, 1)
         cautions += check_experiment(whole, where, first=first)
         window = _window(trace, whole, marks, outer, collapses)
         experiments.append(window)
-        landmarks[name] = marks
         frames[name] = len(trace), len(trace) - len(whole.times), len(whole.times) - len(window.times)
         firsts[name] = first
     cautions += _outvoted(experiments)
     cautions += () if rest_radius else _passed_over(traces, landmarks)
     return Prepared(tuple(experiments), landmarks, frames, firsts, rest_radius is not None, tuple(cautions))
+
+
+def _borrowed(landmarks: dict[str, Landmarks]) -> list[str]:
+    """Gives curves whose record does not hold R_inf that of the others, over Rmax and with a wide error, and says so."""
+    ratios = [m.rest_radius_m / m.max_radius_m for m in landmarks.values() if m.rest_radius_m is not None]
+    lacking = [name for name, marks in landmarks.items() if marks.rest_radius_m is None]
+    if not ratios or not lacking:
+        return []
+    value = sum(ratios) / len(ratios)
+    sd = max(_BORROWED_SD * value, math.sqrt(sum((x - value) ** 2 for x in ratios) / len(ratios)))
+    for name in lacking:
+        top = landmarks[name].max_radius_m
+        found = {"rest_radius_m": value * top, "rest_radius_sd_m": sd * top, "rest_method": "other curves"}
+        landmarks[name] = replace(landmarks[name], **found)
+    names = ", ".join(f"'{name}'" for name in lacking)
+    return [
+        f"The record of {names} holds no rebound and no R_inf is stated, so R_inf/Rmax is taken to be about that of the other "
+        f"curves, {value:.2f} +- {sd:.2f}. State it if it is known."
+    ]
 
 
 def _collapse(whole: Experiment, marks: Landmarks, surroundings: Surroundings, number: int) -> float:

@@ -1,8 +1,10 @@
 """What is fitted of a record, by curves whose collapses are known."""
 
 import numpy as np
+import pytest
 import torch
 
+from imr_torch.errors import InputDataError
 from imr_torch.observe import Given, RadiusTrace, TraceSet, prepare
 
 TOP, REST, PERIOD = 2e-4, 1.0e-4, 4e-5
@@ -35,3 +37,16 @@ def test_that_a_stated_rest_radius_that_is_passed_over_is_said() -> None:
     ringing = damped("ringing", 0.1, Given(rest_radius_m=1.8 * REST, rest_settled=False))
     (text,) = (c for c in prepare(TraceSet((ringing,))).cautions if "stated R_inf" in c)
     assert "'ringing' is not used, since it is stated that the bubble had not settled" in text
+
+
+def test_that_a_record_without_rest_radius_takes_that_of_the_other_curves_widely() -> None:
+    short = damped("short", 0.4)
+    cut = RadiusTrace("short", short.time_s[:26], short.radius_m[:26], "memory")  # ends as it collapses
+    prepared = prepare(TraceSet((damped("long", 0.4), cut)))
+    marks = prepared.landmarks["short"]
+    assert marks.rest_method == "other curves"
+    assert marks.rest_radius_m == pytest.approx(0.5 * TOP, rel=0.1)
+    assert marks.rest_radius_sd_m >= 0.39 * marks.rest_radius_m
+    assert any("'short' holds no rebound and no R_inf is stated" in text for text in prepared.cautions)
+    with pytest.raises(InputDataError, match="no rebound and no given R_inf"):
+        prepare(TraceSet((cut,)))
