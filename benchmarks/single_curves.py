@@ -103,7 +103,7 @@ NOISES = {
 
 def simulated(number: int, kind: str, stated: bool = False) -> tuple[TraceSet, list[Noise], dict[str, Any]]:
     """Three curves of a random gel, the law of each one's noise, and the truth; what cannot be simulated is drawn again."""
-    source = generator(child(72000, "single curves", kind, number))
+    source = generator(child(73000, "single curves", kind, number))
     names = list(LIBRARY)
     while True:
         values = {k: low * (high / low) ** float(torch.rand((), generator=source)) for k, (low, high) in GEL.items()}

@@ -17,6 +17,9 @@ from imr_torch.errors import InputDataError
 FEWEST_RESIDUALS = 10
 """Degrees of freedom that residuals must have for the noise to be estimated from them."""
 
+WIDE = 1.05
+"""Factor from which on it is said that noise counts as larger than it is."""
+
 TIE = 1e-6
 """Nats below which two laws are equally likely: one without slope and drift has the same likelihood at every floor."""
 
@@ -66,7 +69,7 @@ class Noise:
             parts = ((self.slope, "|R*-1|"), (self.drift, "t*"))
             grows = " + ".join(f"{own * size:.2g} {of}" for size, of in parts if size) or "0"
         law = f"{grows} with {own * self.floor:.4f} in R* everywhere, {correlated}"
-        return law if self.widened == 1.0 else f"{law}, counted {self.widened:.1f} times as large"
+        return law if self.widened < WIDE else f"{law}, counted {self.widened:.1f} times as large"
 
     @property
     def of_frames(self) -> "Noise":

@@ -8,9 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.observe.noise import Noise
-
-_WIDE = 1.05  # from which factor on it is said that intervals are wider
+from imr_torch.observe.noise import WIDE, Noise
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,7 @@ def noise_sentences(noise: Noise, interval: Sequence[float] | None) -> list[str]
         return []
     low, middle, high = interval
     lines = [f"Noise of single frames, inferred: {middle:.2g} in R* in the median frame (90 %: {low:.2g} to {high:.2g})."]
-    if noise.widened > _WIDE:
+    if noise.widened >= WIDE:
         common = "Residuals have more in common than such noise; intervals are"
         lines.append(f"{common} {noise.widened:.2f} times as wide for it.")
     return lines
