@@ -170,7 +170,7 @@ def _compiled_quadrature(sum_: Quadrature, fields: tuple[str, ...]) -> Any:
 
 
 def code_of(function: Law) -> Iterator[bytes]:
-    """Everything that the meaning of a function depends on: its code and constants, and those of all that it calls.
+    """Everything that the meaning of a function depends on: its code, constants and defaults, and those of all that it calls.
 
     Docstrings, comments and whatever the function does not use are left out.
     """
@@ -183,7 +183,8 @@ def _code_of(function: Law, seen: set[Any]) -> Iterator[bytes]:
     seen.add(function)
     code = function.__code__
     constants = [c for c in code.co_consts if c != function.__doc__]
-    yield repr((function.__qualname__, code.co_code, code.co_names, code.co_varnames, constants)).encode()
+    defaults = (function.__defaults__, function.__kwdefaults__)
+    yield repr((function.__qualname__, code.co_code, code.co_names, code.co_varnames, constants, defaults)).encode()
     for name in names_in(function)[0]:
         yield name.encode()
         yield from _value_of(function.__globals__.get(name), seen)

@@ -7,13 +7,19 @@ threads of its own (``threads=`` of the simulators), which this does not touch.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import Lock
 
 import torch
+
+_lock = Lock()
+_blocks = {"open": 0, "before": 1}  # how many blocks are open in this process, and the threads before the first of them
 
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
     """Compute with one thread of PyTorch inside, and with as many as before afterwards; also a decorator of functions.
+
+    Blocks may overlap in several Python threads: the last one to end restores what was before the first.
 
     >>> import torch
     >>> from imr_torch.threads import one_torch_thread
@@ -21,9 +27,15 @@ def one_torch_thread() -> Iterator[None]:
     ...     torch.get_num_threads()
     1
     """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
+    with _lock:
+        if _blocks["open"] == 0:
+            _blocks["before"] = torch.get_num_threads()
+        _blocks["open"] += 1
+        torch.set_num_threads(1)
     try:
         yield
     finally:
-        torch.set_num_threads(before)
+        with _lock:
+            _blocks["open"] -= 1
+            if _blocks["open"] == 0:
+                torch.set_num_threads(_blocks["before"])

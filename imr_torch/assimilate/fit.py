@@ -168,7 +168,7 @@ class ModelFit:
             prediction=self.prediction[rows, :width],
             sample=None,
         )
-        return part, ExperimentBatch(batch.curves, batch.noise)
+        return part, replace(batch, experiments=batch.curves)
 
     @property
     def nuisance_log_det(self) -> float:

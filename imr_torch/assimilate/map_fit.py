@@ -102,7 +102,7 @@ def assimilate(
     fits = tuple(_fit(chains, options) for chains in searches)
     for fit in fits:
         if warn and not fit.certificate.converged:
-            warnings.warn(f"{fit.model}: {fit.certificate}", ConvergenceWarning, stacklevel=2)
+            warnings.warn(f"{fit.model}: {fit.certificate}", ConvergenceWarning, stacklevel=3)
     return Assimilation(belief, batch, fits)
 
 

@@ -146,7 +146,7 @@ def weigh(
         The assimilation with a ``sample`` in each fit, from which evidence, moments and verdict follow.
 
     Raises:
-        InputDataError: for fewer than 25 samples or no round.
+        InputDataError: for fewer than 25 samples, no round, or ``noise`` beside collapse times.
         ConvergenceError: if no draw of some model could be simulated.
 
     >>> import torch
@@ -166,6 +166,11 @@ def weigh(
     if samples < 25 or rounds < 1:
         raise InputDataError(f"weigh: samples {samples} must be at least 25, and rounds {rounds} at least 1.")
     batch = assimilation.batch
+    if noise is not None and bool(batch.collapse.any()):
+        raise InputDataError(
+            "weigh was given noise laws to integrate over, and the data hold collapse times, which have an error of their own; "
+            "leave noise out."
+        )
     states = [_State(replace(fit, sample=None)) for fit in assimilation.fits]
     waiting, number = states, 0
     while waiting:

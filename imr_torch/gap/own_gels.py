@@ -26,7 +26,7 @@ def fit_alone(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
         own = child(seed, "alone", experiment.label)
         beside = _APART * torch.randn(2, len(fit.mean), generator=generator(own), dtype=torch.float64)
         starts = torch.cat((fit.mean[None], fit.mean + beside))
-        one = ExperimentBatch((experiment,), batch.noise)
+        one = replace(batch, experiments=(experiment,), between={})
         nuisances = [fit.nuisances[e : e + 1]]
         alone = assimilate(belief, one, simulator, seed=own, starts=[starts], nuisances=nuisances, warn=False).fits[0]
         found.append(alone if alone.certificate.converged else finish(alone, one, simulator, seed=child(own, "finish")))

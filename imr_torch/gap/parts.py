@@ -4,7 +4,7 @@ A part that was not run is None, and the report lists it as not run.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import ConvergenceError, InputDataError
@@ -23,7 +23,7 @@ from imr_torch.gap.stepwise import StepwiseSelection, select_stepwise, with_held
 from imr_torch.gap.verdict import OTHER
 from imr_torch.gap.windows import MovingWindows, moving_windows
 from imr_torch.material import LIBRARY
-from imr_torch.observe import Experiment, ExperimentBatch
+from imr_torch.observe import Experiment
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
@@ -166,7 +166,7 @@ def closed_by(
         rival = _best_rival(report, found)
         names += [found.winner, *([rival] if rival else [])]
     fits = {name: report.fits[name] for name in names} | {step.name: step.fit for step in selection.judged}
-    apart = ExperimentBatch(tuple(unseen), report.batch.noise) if unseen else None
+    apart = replace(report.batch, experiments=tuple(unseen)) if unseen else None
     own, base = child(seed, "shrinkage"), report.null.prior
     differing = {step.name: scatters(base, step.fit.prior) for step in selection.judged if GEL_SCATTER in step.effects}
     held = hold_out(fits, report.batch, simulator, seed=own, unseen=apart, between=differing, progress=progress)

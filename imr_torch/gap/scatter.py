@@ -9,7 +9,7 @@ repeats, whose repeats may be of different gels too.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 
@@ -161,6 +161,6 @@ def _adequacy(
     """Smallest p-value of the gap tests of single curves, times their number."""
     values = []
     for e, (fit, experiment) in enumerate(zip(fits, batch.experiments, strict=True)):
-        one = ExperimentBatch((experiment,), batch.noise)
+        one = replace(batch, experiments=(experiment,), between={})
         values.append(adequacy_test(fit, effects, one, simulator, seed=child(seed, e)).test.p_value)
     return min(1.0, len(values) * min(values))

@@ -27,7 +27,7 @@ from imr_torch.simulate import EARLIEST, Simulator, check_designs
 _EARLIEST_FILMED = -0.4  # an exposure reaches on from its frame, and so does a clock that is wrong
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Experiment:
     """Repeats of one design; kept in float64 on the CPU, where everything above the simulators computes.
 

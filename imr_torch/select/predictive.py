@@ -214,7 +214,7 @@ def _restricted(assimilation: Assimilation, models: Sequence[int], experiments: 
     """Some models and experiments of an assimilation: where a search without the others starts."""
     prior, batch = assimilation.prior, assimilation.batch
     belief = Belief(tuple(prior.models[i] for i in models), prior.log_probabilities[list(models)])
-    kept = ExperimentBatch(tuple(batch.experiments[e] for e in experiments), batch.noise)
+    kept = replace(batch, experiments=tuple(batch.experiments[e] for e in experiments))
     fits = (assimilation.fits[i] for i in models)
     rows = list(experiments)
     begin = (replace(f, nuisances=f.nuisances[rows], nuisance_response=f.nuisance_response[rows]) for f in fits)

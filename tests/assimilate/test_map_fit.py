@@ -283,9 +283,10 @@ def test_that_a_fit_that_converged_says_so_and_does_not_warn() -> None:
 
 
 def test_that_a_fit_that_was_cut_short_warns_and_says_so() -> None:
-    with pytest.warns(ConvergenceWarning, match=r"nhkv: NOT CONVERGED \(gradient"):
+    with pytest.warns(ConvergenceWarning, match=r"nhkv: NOT CONVERGED \(gradient") as caught:
         result = fitted(prior(("nhkv",)), experiments(3), options=replace(OPTIONS, iterations=1))
     assert not result.converged
+    assert caught[0].filename == __file__  # where assimilate was called
     assert result.fits[0].certificate.iterations == 1
     assert result.fits[0].certificate.gradient > OPTIONS.gradient
 

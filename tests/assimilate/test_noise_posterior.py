@@ -17,7 +17,8 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.assimilate.noise_law import LocalNoise
-from imr_torch.observe import Experiment, ExperimentBatch, Noise, NoiseLaws, Nuisance
+from imr_torch.errors import InputDataError
+from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws, Nuisance
 from imr_torch.select import cross_validate
 from tests.drifting import Slow, drifting
 from tests.linear import CORRELATED, NOISE, LinearSimulator, exact, experiments, prior, tensor
@@ -179,3 +180,13 @@ def test_that_repeats_tell_a_misfit_from_noise() -> None:
     assert level == pytest.approx(1.0, rel=0.15)
     assert fits.batch.noise.widened > 4.0
     assert math.isfinite(float(weigh(fits, Slow(), seed=0, noise=noise_nodes(fits, Slow()))["nhkv"].posterior.sds[0]))
+
+
+def test_that_laws_of_frames_are_refused_beside_collapse_times() -> None:
+    """A collapse time has an error of its own, which no law of the camera's noise is."""
+    batch = experiments(1, noise=CORRELATED)
+    nodes = nodes_of(batch)
+    time = CollapseTime("time", (400.0, 0.2), 0.9, 0.01)
+    both = replace(fitted(batch), batch=replace(batch, experiments=(*batch.experiments, time)))
+    with pytest.raises(InputDataError, match="error of their own; leave noise out"):
+        weigh(both, SIMULATOR, seed=0, noise=nodes)

@@ -379,3 +379,11 @@ def test_that_curves_of_any_precision_are_kept_in_float64() -> None:
     assert torch.equal(shot.times, times.double())
     mixed = ExperimentBatch((shot, Experiment("b", (400.0, 0.22), times.double(), torch.ones(1, 5).double())))
     assert mixed.times.dtype == torch.float64
+
+
+def test_that_experiments_can_be_compared_and_counted() -> None:
+    """By identity, as curves are: tensors have no truth value."""
+    one, other, *_ = shots()
+    assert one == one
+    assert one != other
+    assert len({one, other, one}) == 2

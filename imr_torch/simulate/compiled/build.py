@@ -146,10 +146,8 @@ def _cached(module: types.ModuleType, entry: str) -> list[Path]:
 
 
 def announced(module: types.ModuleType, entry: str, arguments: Sequence[Any]) -> Any:
-    """Call an entry point; where it has to be compiled first, say so and how long it took."""
+    """Call an entry point that has not run in this process; where it has to be compiled, say so and how long it took."""
     function = getattr(module, entry)
-    if function.overloads:
-        return function(*arguments)
     if cached := _cached(module, entry):
         try:
             return function(*arguments)

@@ -232,15 +232,14 @@ def _share_out(
     threads = min(threads, len(bundles))
     size = _CHUNK if threads == 1 else max(1, min(_CHUNK, len(bundles) // (_SHARES * threads)))
     chunks = [bundles[first : first + size] for first in range(0, len(bundles), size)]
-    own = arrays(get_ident())
-    announced(module, entry, (chunks[0], *arguments, own))  # compiles, if need be, before threads begin
-    function = getattr(module, entry)
-    rest = chunks[1:]
-    if threads == 1:
-        for chunk in rest:
+    own, function = arrays(get_ident()), getattr(module, entry)
+    if not function.overloads:  # is compiled before threads begin
+        announced(module, entry, (chunks.pop(0), *arguments, own))
+    if threads == 1 or len(chunks) == 1:
+        for chunk in chunks:
             function(chunk, *arguments, own)
     else:
-        for _ in _pool(threads).map(lambda chunk: function(chunk, *arguments, arrays(get_ident())), rest):
+        for _ in _pool(threads).map(lambda chunk: function(chunk, *arguments, arrays(get_ident())), chunks):
             pass
 
 
