@@ -9,8 +9,8 @@ errors of Rmax, time zero and R_inf. They are read as a laboratory's curves are:
 curve itself, everything else by default; with `--stated` R_inf is stated with an error of 1 %. The kinds of noise are those of
 `NOISES`; `effect` has an effect of the library and the published noise times .4; in `gels` each shot has a gel of its own
 (G and mu differ by 30 %). `labelled` takes sets of a separate program (one repeat of each, and the mean of all repeats as one
-curve, which has the noise of one over the root of their number). Each line has the p-value by the inferred noise and by the true
-one. `characterize` runs on every fifth set without an effect (`--every`). A run that was cut off continues.
+curve, which has the noise of one over the root of their number). Each line has the p-value by the inferred noise and by the
+true one. `characterize` runs on every fifth set without an effect (`--every`). A run that was cut off continues.
 """
 
 import argparse

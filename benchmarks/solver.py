@@ -3,9 +3,9 @@
   python benchmarks/solver.py [--json OUT] [--repeats 5] [--device cpu]
 
 Bubbles are drawn from the prior of the stiff-PA reference case, designs uniformly from We 100-1000 and R_inf* .14-.30, with
-81 samples of t* in [0, 4]. Errors of the polytropic solver are against itself at a third of the step, those of the full
-physics against its `reference` setting. Beside them, in the same run, what a user would do without this
-package: torchdiffeq's dopri5 with one step for the batch, and a loop over bubbles with SciPy.
+81 samples of t* in [0, 4]; every call that is timed has bubbles of its own. Errors of the polytropic solver are against itself
+at a third of the step, those of the full physics against its `reference` setting. Beside them, in the same run, what a user
+would do without this package: torchdiffeq's dopri5 with one step for the batch, and a loop over bubbles with SciPy.
 """
 
 import argparse
@@ -41,10 +41,10 @@ from imr_torch.simulate.polytropic import head_of, rate_of
 TIMES = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
 
 
-def draws(count: int, device: str) -> tuple[torch.Tensor, torch.Tensor]:
+def draws(count: int, device: str, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
     """Parameters ``count x p`` and designs ``count x 2`` of the benchmark."""
-    parameters = reference_case("stiff-pa").prior.sample(count, seed=0).parameters
-    unit = torch.rand(count, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    parameters = reference_case("stiff-pa").prior.sample(count, seed=seed).parameters
+    unit = torch.rand(count, 2, generator=torch.Generator().manual_seed(seed + 1), dtype=torch.float64)
     low, high = torch.tensor([[100.0, 0.14], [1000.0, 0.30]], dtype=torch.float64)
     return parameters.to(device), (low + (high - low) * unit).to(device)
 
@@ -67,35 +67,50 @@ def seconds_of(work: Callable[[], Any], repeats: int, device: str = "cpu") -> fl
     return float(np.median(taken))
 
 
-def simulate(simulator: Simulator, count: int, device: str) -> Callable[[], torch.Tensor]:
-    """The radii of ``count`` bubbles, when called."""
-    parameters, designs = draws(count, device)
-    return lambda: simulator(parameters, designs, TIMES.to(device)).radius
+def simulate(simulator: Simulator, count: int, device: str, seed: int = 0) -> torch.Tensor:
+    """The radii of ``count`` bubbles."""
+    parameters, designs = draws(count, device, seed)
+    return simulator(parameters, designs, TIMES.to(device)).radius
+
+
+def milliseconds(simulator: Simulator, count: int, repeats: int, device: str = "cpu") -> float:
+    """Median milliseconds a bubble in batches of ``count``; new bubbles in each, since a simulator remembers its steps."""
+    batches, times = iter([draws(count, device, seed) for seed in range(100, 101 + repeats)]), TIMES.to(device)
+
+    def work() -> None:
+        parameters, designs = next(batches)
+        simulator(parameters, designs, times)
+
+    return 1e3 * seconds_of(work, repeats, device) / count
 
 
 def errors(simulator: Simulator, reference: Simulator, count: int, device: str) -> tuple[float, float]:
     """Median and largest over bubbles of the largest error in R*."""
-    error = (simulate(simulator, count, device)() - simulate(reference, count, device)()).abs().amax(1)
+    error = (simulate(simulator, count, device) - simulate(reference, count, device)).abs().amax(1)
     return float(error.median()), float(error.max())
 
 
-def bundle(simulator: TransportSimulator, width: int) -> Callable[[], torch.Tensor]:
-    """A leader and followers that differ from it by a millionth of G, when called."""
-    parameters, designs = draws(1, "cpu")
-    members = parameters[:, None].repeat(1, width, 1)
-    members[:, 1:, PARAMETERS.index(["G"])] *= 1.0 + 1e-6 * torch.arange(1, width, dtype=torch.float64)[:, None]
-    return lambda: simulator.bundle(members, designs[:, None], TIMES).radius
+def bundle_milliseconds(simulator: TransportSimulator, width: int, repeats: int) -> float:
+    """Median milliseconds of a leader and followers that differ from it by a millionth of G; a new leader each time."""
+    bundles = []
+    for seed in range(100, 101 + repeats):
+        parameters, designs = draws(1, "cpu", seed)
+        members = parameters[:, None].repeat(1, width, 1)
+        members[:, 1:, PARAMETERS.index(["G"])] *= 1.0 + 1e-6 * torch.arange(1, width, dtype=torch.float64)[:, None]
+        bundles.append((members, designs[:, None]))
+    waiting = iter(bundles)
+    return 1e3 * seconds_of(lambda: simulator.bundle(*next(waiting), TIMES), repeats)
 
 
 def speedup(count: int, repeats: int) -> float:
     """Wall time of one thread over that of two, median of pairs taken in turn."""
     ratios = []
-    for _ in range(repeats):
+    for pair in range(repeats):
         taken = []
         for threads in (1, 2):
-            work = simulate(TransportSimulator(threads=threads), count, "cpu")
+            bubbles = draws(count, "cpu", 100 + 2 * pair + threads)
             started = time.perf_counter()
-            work()
+            TransportSimulator(threads=threads)(*bubbles, TIMES)
             taken.append(time.perf_counter() - started)
         ratios.append(taken[0] / taken[1])
     return float(np.median(ratios))
@@ -130,13 +145,13 @@ def on_device(device: str) -> dict[str, float]:
     simulators: tuple[Simulator, ...] = (TransportSimulator(), PolytropicSimulator())
     for simulator in simulators:
         name = type(simulator).__name__
-        there, here = simulate(simulator, 1000, device)().cpu(), simulate(simulator, 1000, "cpu")()
+        there, here = simulate(simulator, 1000, device).cpu(), simulate(simulator, 1000, "cpu")
         error = (there - here).abs().amax(1)
         result |= {f"{name}_median_difference": float(error.median()), f"{name}_max_difference": float(error.max())}
         for count in (48, 1000, 10_000, 100_000):
             torch.cuda.reset_peak_memory_stats()
             repeats = 3 if count < 10_000 else 1
-            result[f"{name}_{count}_ms"] = 1e3 * seconds_of(simulate(simulator, count, device), repeats, device) / count
+            result[f"{name}_{count}_ms"] = milliseconds(simulator, count, repeats, device)
             result[f"{name}_{count}_mib"] = torch.cuda.max_memory_allocated() / 2**20
             print(name, count, result[f"{name}_{count}_ms"], "ms a bubble", flush=True)
     return result
@@ -164,11 +179,10 @@ def main() -> None:
     for name, simulator, counts in (("full", full, (1, 8, 48, 1000)), ("polytropic", polytropic, (1, 48, 1000, 10000))):
         for count in counts:
             repeats = 9 * args.repeats if count < 10 else args.repeats
-            result[f"{name}_{count}_ms"] = 1e3 * seconds_of(simulate(simulator, count, "cpu"), repeats) / count
-    result["bundle_8_ms"] = 1e3 * seconds_of(bundle(full, 8), 3 * args.repeats)
+            result[f"{name}_{count}_ms"] = milliseconds(simulator, count, repeats)
+    result["bundle_8_ms"] = bundle_milliseconds(full, 8, 3 * args.repeats)
     for count in (48, 1000):
-        tensors = TransportSimulator(engine="torchdiffeq")
-        result[f"tensor_{count}_ms"] = 1e3 * seconds_of(simulate(tensors, count, "cpu"), 1) / count
+        result[f"tensor_{count}_ms"] = milliseconds(TransportSimulator(engine="torchdiffeq"), count, 1)
     result["speedup_2_threads"] = speedup(1000, args.repeats)
     result["peak_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     reference = TransportSimulator(accuracy=ACCURACIES["reference"])
@@ -178,9 +192,9 @@ def main() -> None:
     except AssertionError as error:  # torchdiffeq's word for a step that shrank to nothing
         print(f"plain dopri5 with one step for 48 bubbles fails: {error}")
     loop = ScipySimulator(physics="polytropic", method="LSODA")
-    result["scipy_lsoda_ms"] = 1e3 * seconds_of(simulate(loop, 10, "cpu"), 1) / 10
+    result["scipy_lsoda_ms"] = milliseconds(loop, 10, 1)
     stiff = ScipySimulator(method="BDF", rtol=1e-5, atol=1e-7)
-    result["scipy_bdf_full_s"] = seconds_of(simulate(stiff, 3, "cpu"), 1) / 3
+    result["scipy_bdf_full_s"] = 1e-3 * milliseconds(stiff, 3, 1)
     result["scipy_bdf_full_max_dr"] = errors(stiff, reference, 3, "cpu")[1]
     report(result, args.json)
 
