@@ -5,6 +5,7 @@ nothing on an idle machine and costs tens of times the work where other programs
 threads of its own (``threads=`` of the simulators), which this does not touch.
 """
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
@@ -39,3 +40,13 @@ def one_torch_thread() -> Iterator[None]:
             _blocks["open"] -= 1
             if _blocks["open"] == 0:
                 torch.set_num_threads(_blocks["before"])
+
+
+def cores() -> int:
+    """Processor cores that this process may use.
+
+    >>> from imr_torch.threads import cores
+    >>> cores() >= 1
+    True
+    """
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -65,6 +65,3 @@ __all__ = [
     "stress_integral",
     "wide_prior",
 ]
-
-# Registers the parameters of later stages: a vector has every entry, whatever is imported first.
-importlib.import_module("imr_torch.simulate")

@@ -3,13 +3,14 @@
 An effect frees one or more entries of the parameter vector that a model leaves neutral. Simulators ask the library which
 effects act in a batch and apply their laws; a diagnosis asks it which effects it may name. The laws are functions of scalars
 (:mod:`imr_torch.elementary`), so both engines use them; effects of the gel act through a stress term, effects of the camera
-through :mod:`imr_torch.observe.distortion`. A user adds an effect by registering its parameter and one :class:`Effect`.
+through :mod:`imr_torch.observe.distortion`. Those of the package are declared in :mod:`imr_torch.material.effects`, and the
+stages that hold their physics attach it by name (:func:`give_physics`). A user adds an effect by registering its parameter and
+one :class:`Effect`.
 """
 
 import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Literal
 
 from imr_torch.elementary import Law, has_compiled_form
@@ -19,6 +20,8 @@ from imr_torch.material.models import material
 from imr_torch.material.parameters import PARAMETERS
 
 Place = Literal["material", "gas", "liquid", "geometry", "driving", "measurement"]
+
+_LAWS = {"setting": 1, "gas_loss": 3, "vapour": 1, "far_field": 1}  # what acts, and its arguments before the parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +41,7 @@ class Effect:
         group: effects of one group, the same to first order or shapes of one thing, are reported as one class.
         needs: a parameter that the base model must have for the effect to act on.
         setting: ``setting(setting, *parameters)``, the setting of a bubble as the effect changes it, see
-            :class:`imr_torch.simulate.bubbles.Setting`.
+            :class:`imr_torch.simulate.setting.Setting`.
         gas_loss: ``gas_loss(radius, velocity, rest_radius, *parameters)``, the rate ``-n'/n`` at which gas is lost.
         vapour: ``vapour(compression, *parameters)``, the factor on the saturation pressure at the wall when the contents are
             compressed to ``P/P(0)``.
@@ -75,7 +78,11 @@ class Effect:
             object.__setattr__(self, "starts", self._usual_starts())
         if any(len(start) != len(self.names) for start in self.starts) or not self.starts:
             raise InputDataError(f"Effect {self.name!r} needs starts of {len(self.names)} values each, got {self.starts}.")
-        for label, before in (("setting", 1), ("gas_loss", 3), ("vapour", 1), ("far_field", 1)):
+        self._check_laws()
+
+    def _check_laws(self) -> None:
+        """Raise where a law takes another number of arguments than it will be given."""
+        for label, before in _LAWS.items():
             law = getattr(self, label)
             if law is not None and len(inspect.signature(law).parameters) != before + len(self.names):
                 raise InputDataError(
@@ -94,12 +101,12 @@ class Effect:
         """The class that it is reported with: its group, or itself."""
         return self.group or self.name
 
-    @cached_property
+    @property
     def physical(self) -> bool:
         """Whether it acts on the bubble by a law of its own."""
-        return any(law is not None for law in (self.setting, self.gas_loss, self.vapour, self.far_field))
+        return any(getattr(self, label) is not None for label in _LAWS)
 
-    @cached_property
+    @property
     def compilable(self) -> bool:
         """Whether the laws that are evaluated at every step are written with :mod:`imr_torch.elementary`."""
         return all(law is None or has_compiled_form(law) for law in (self.gas_loss, self.vapour, self.far_field))
@@ -128,6 +135,28 @@ def register_effect(effect: Effect) -> Effect:
         raise InputDataError(f"An effect of the name {effect.name!r} is registered already.")
     LIBRARY[effect.name] = effect
     return effect
+
+
+def give_physics(name: str, **laws: Law) -> None:
+    """Attach laws to an effect that was declared without them.
+
+    Args:
+        name: of the effect.
+        laws: ``setting``, ``gas_loss``, ``vapour`` or ``far_field``, as of :class:`Effect`.
+
+    >>> from imr_torch.material import LIBRARY, Effect, TruncatedNormal, register_effect
+    >>> from imr_torch.material.effect import give_physics
+    >>> _ = register_effect(Effect("leak", "gas leaks", "gas", {"gas_loss": TruncatedNormal(0.0, 0.1, lower=0.0)}))
+    >>> give_physics("leak", gas_loss=lambda radius, velocity, rest_radius, share: share)
+    >>> LIBRARY.pop("leak").physical
+    True
+    """
+    effect = LIBRARY[name]
+    for label, law in laws.items():
+        if label not in _LAWS or getattr(effect, label) is not None:
+            raise InputDataError(f"Effect {name!r} has no law {label!r} to give; expected one of {', '.join(_LAWS)}, once.")
+        object.__setattr__(effect, label, law)
+    effect._check_laws()
 
 
 def library(names: Sequence[str] | None = None, *, without: Sequence[str] = (), base: str = "nhkv") -> tuple[Effect, ...]:

@@ -2,7 +2,8 @@
 
 Each entry has a name, a unit, hard bounds and a *neutral value* at which it does nothing. A constitutive model is a set of
 names; everything else stays neutral, so one batch may mix models. Tensors of parameters have the shape
-``batch_shape x p`` with ``p = len(PARAMETERS)``, in SI units, in the order of registration.
+``batch_shape x p`` with ``p = len(PARAMETERS)``, in SI units, in the order of registration. All entries of the package are in
+the tables below, whatever stage gives them their meaning; users register their own.
 """
 
 from collections.abc import Mapping, Sequence
@@ -177,78 +178,106 @@ class ParameterVector:
             )
 
 
-PARAMETERS = ParameterVector()
-"""The one parameter vector, with every registered parameter."""
-
-
 def _modulus(name: str, meaning: str) -> Parameter:
     """A shear modulus, within 1-25 kPa at 68 %."""
     prior = LogNormal(median=5e3, factor=5.0)
-    return PARAMETERS.register(
-        Parameter(name, meaning, "Pa", "pressure", 0.0, 1e7, 0.0, display_scale=1e-3, display_unit="kPa", prior=prior)
-    )
+    return Parameter(name, meaning, "Pa", "pressure", 0.0, 1e7, 0.0, display_scale=1e-3, display_unit="kPa", prior=prior)
 
 
 def _shape(name: str, meaning: str, lower: float, upper: float, sd: float) -> Parameter:
     """A number that is most likely small and not negative."""
     prior = TruncatedNormal(0.0, sd, lower=0.0, upper=min(upper, 100.0 * sd))
-    return PARAMETERS.register(Parameter(name, meaning, "1", "none", lower, upper, 0.0, prior=prior))
+    return Parameter(name, meaning, "1", "none", lower, upper, 0.0, prior=prior)
 
 
 def _relaxation_time(name: str, meaning: str) -> Parameter:
     """A time from 0 (neutral) to a second, quoted in microseconds; within 2-50 us at 68 %."""
     prior = LogNormal(median=1e-5, factor=5.0)
-    return PARAMETERS.register(
-        Parameter(name, meaning, "s", "time", 0.0, 1.0, 0.0, display_scale=1e6, display_unit="us", prior=prior)
-    )
+    return Parameter(name, meaning, "s", "time", 0.0, 1.0, 0.0, display_scale=1e6, display_unit="us", prior=prior)
 
 
-SHEAR_MODULUS = _modulus("G", "shear modulus")
-VISCOSITY = PARAMETERS.register(
-    Parameter("mu", "viscosity", "Pa s", "viscosity", 0.0, 100.0, 0.0, prior=LogNormal(median=0.1, factor=3.0))
+def _number(name: str, meaning: str, lower: float, upper: float) -> Parameter:
+    """A number without a unit that nothing is believed of but as an effect."""
+    return Parameter(name, meaning, "1", "none", lower, upper, 0.0)
+
+
+def _rate(name: str, meaning: str, lower: float, upper: float) -> Parameter:
+    """A rate, quoted per millisecond."""
+    return Parameter(name, meaning, "1/s", "rate", lower, upper, 0.0, display_scale=1e-3, display_unit="1/ms")
+
+
+_OF_MODELS = (
+    _modulus("G", "shear modulus"),
+    Parameter("mu", "viscosity", "Pa s", "viscosity", 0.0, 100.0, 0.0, prior=LogNormal(median=0.1, factor=3.0)),
+    Parameter("alpha", "strain stiffening", "1", "none", -1.0, 100.0, 0.0, prior=TruncatedNormal(0.0, 0.5, lower=0.0)),
+    _modulus("G_lin", "shear modulus at small strain"),
+    _shape("alpha_fung2", "stiffening, Fung to second order", -1.0, 100.0, 0.1),
+    _shape("alpha_fung", "stiffening, exponential Fung", -1.0, 10.0, 0.02),
+    _shape("thinning", "shear thinning 1 - n (Carreau)", 0.0, 1.0, 0.3),
+    _relaxation_time("shear_time", "time scale of shear thinning (Carreau)"),
+    _relaxation_time("tau", "relaxation time (Maxwell branch)"),
+    _shape("retardation", "retardation over relaxation time", 0.0, 1.0, 0.3),
+    _relaxation_time("tau_sls", "relaxation time (standard linear solid)"),
+    _relaxation_time("tau_sns", "relaxation time (standard nonlinear solid)"),
+    _relaxation_time("tau_ucm", "relaxation time (upper-convected branch)"),
 )
-STIFFENING = PARAMETERS.register(
-    Parameter("alpha", "strain stiffening", "1", "none", -1.0, 100.0, 0.0, prior=TruncatedNormal(0.0, 0.5, lower=0.0))
+_OF_THE_GEL = (
+    _number("damage", "softening per unit of accumulated strain", 0.0, 10.0),
+    Parameter("yield_stress", "yield stress", "Pa", "pressure", 0.0, 1e6, 0.0, display_scale=1e-3, display_unit="kPa"),
+    _number("graded_modulus", "excess modulus at the wall", -1.0, 10.0),
+    _number("permanent_set", "part of the stretch that stays", -0.5, 0.5),
+    _rate("healing", "rate at which damage heals", 0.0, 1e7),
+    _number("viscous_damage", "loss of viscosity per unit of accumulated strain", 0.0, 10.0),
+    _number("law_stretch", "generic stress in lambda - 1, over p_inf", -1.0, 1.0),
+    _number("law_stretch_squared", "generic stress in (lambda - 1)^2, over p_inf", -1.0, 1.0),
+    _number("law_compression", "generic stress in lambda^-3 - 1, over p_inf", -1.0, 1.0),
+    _number("law_compression_steep", "generic stress in lambda^-6 - 1, over p_inf", -1.0, 1.0),
+    _number("law_velocity", "generic stress in U, over p_inf", -1.0, 1.0),
+    _number("law_velocity_squared", "generic stress in U|U|, over p_inf", -1.0, 1.0),
+    _number("law_rate_squared", "generic stress in (U/R)|U/R|, over p_inf", -1.0, 1.0),
 )
-LINEAR_MODULUS = _modulus("G_lin", "shear modulus at small strain")
-FUNG2 = _shape("alpha_fung2", "stiffening, Fung to second order", -1.0, 100.0, 0.1)
-FUNG = _shape("alpha_fung", "stiffening, exponential Fung", -1.0, 10.0, 0.02)
-THINNING = _shape("thinning", "shear thinning 1 - n (Carreau)", 0.0, 1.0, 0.3)
-SHEAR_TIME = _relaxation_time("shear_time", "time scale of shear thinning (Carreau)")
-RELAXATION = _relaxation_time("tau", "relaxation time (Maxwell branch)")
-RETARDATION = _shape("retardation", "retardation over relaxation time", 0.0, 1.0, 0.3)
-RELAXATION_SLS = _relaxation_time("tau_sls", "relaxation time (standard linear solid)")
-RELAXATION_SNS = _relaxation_time("tau_sns", "relaxation time (standard nonlinear solid)")
-RELAXATION_UCM = _relaxation_time("tau_ucm", "relaxation time (upper-convected branch)")
-
-DAMAGE = PARAMETERS.register(Parameter("damage", "softening per unit of accumulated strain", "1", "none", 0.0, 10.0, 0.0))
-YIELD_STRESS = PARAMETERS.register(
-    Parameter("yield_stress", "yield stress", "Pa", "pressure", 0.0, 1e6, 0.0, display_scale=1e-3, display_unit="kPa")
+_OF_THE_BUBBLE = (
+    _number("heat_exchange", "log factor of heat conduction in the bubble", -6.0, 6.0),
+    _number("vapour_pressure", "vapour pressure beyond saturation, over p_inf", -0.03, 0.5),
+    _number("condensation", "power with which trapped vapour follows compression", 0.0, 1.0),
+    _number("gas_loss", "share of gas lost per unit of strain below R_inf", 0.0, 5.0),
+    _number("sound_speed", "log factor of the sound speed", -3.0, 5.0),
+    _number("surface_tension", "log factor of the surface tension at the wall", -3.0, 3.0),
+    _number("far_field_pressure", "far-field pressure beyond p_inf, over p_inf", -0.5, 0.5),
+    _number("wall", "strength of a mirror bubble, Rmax over twice the distance", -0.5, 0.5),
+    _number("energy_loss", "loss to shape modes near collapse, in U|U|", 0.0, 20.0),
+    _number("residual_velocity", "wall velocity at time zero over U_c", -1.0, 1.0),
+    _number("sound_field", "amplitude of a residual sound field over p_inf", -1.0, 1.0),
+    _number("sound_frequency", "log of its angular frequency, in U_c/Rmax", -4.0, 6.0),
+    _number("sound_phase", "its phase", -20.0, 20.0),
+    _number("pulse", "amplitude of a reflected pulse over p_inf", -3.0, 3.0),
+    _number("pulse_time", "when it arrives, in Rmax/U_c", -1.0, 20.0),
+    _number("pulse_width", "log of its width, in Rmax/U_c", -6.0, 3.0),
+    _number("excess_gas", "log of the gas at time zero over that which rests at R_inf", -2.0, 2.0),
+    _number("hot_contents", "mean temperature of the contents at time zero over T_inf, less 1", -0.3, 0.6),
+    _rate("rinf_drift", "relative rate at which the gas's rest radius grows", -1e5, 1e5),
 )
-GRADED_MODULUS = PARAMETERS.register(Parameter("graded_modulus", "excess modulus at the wall", "1", "none", -1.0, 10.0, 0.0))
-PERMANENT_SET = PARAMETERS.register(Parameter("permanent_set", "part of the stretch that stays", "1", "none", -0.5, 0.5, 0.0))
-HEALING = PARAMETERS.register(
-    Parameter("healing", "rate at which damage heals", "1/s", "rate", 0.0, 1e7, 0.0, display_scale=1e-3, display_unit="1/ms")
+_OF_THE_MEDIUM = (
+    _number("density", "log of the medium's density over the stated one", -2.0, 2.0),
+    _number("medium_tension", "log of the medium's surface tension over the stated one", -3.0, 3.0),
+    _number("medium_pressure", "log of the medium's far-field pressure over the stated one", -2.0, 2.0),
+    _number("medium_temperature", "log of the medium's temperature in K over the stated one", -0.2, 0.2),
 )
-VISCOUS_DAMAGE = PARAMETERS.register(
-    Parameter("viscous_damage", "loss of viscosity per unit of accumulated strain", "1", "none", 0.0, 10.0, 0.0)
+_OF_THE_CAMERA = (
+    _number("missed_maximum", "true Rmax over the measured one, less 1", -0.2, 0.2),
+    _number("trigger_offset", "time of the first frame, in Rmax/U_c", -0.3, 0.3),
+    _number("rinf_bias", "true R_inf over the measured one, less 1", -0.5, 0.5),
+    _number("clock", "log of true over measured time at a fixed time scale", -0.3, 0.3),
+    _number("exposure_blur", "exposure, in Rmax/U_c", 0.0, 0.5),
+    _number("refraction", "relative error of R that grows with R*", -0.2, 0.2),
+    Parameter("edge_error", "measured less true radius", "m", "length", -2e-5, 2e-5, 0.0, display_scale=1e6, display_unit="um"),
 )
 
+PARAMETERS = ParameterVector()
+"""The one parameter vector, with every registered parameter."""
 
-def _law(name: str, meaning: str) -> Parameter:
-    """A coefficient of the generic closure, a pressure over ``p_inf``."""
-    return PARAMETERS.register(
-        Parameter(f"law_{name}", f"generic stress in {meaning}, over p_inf", "1", "none", -1.0, 1.0, 0.0)
-    )
-
-
-LAW_STRETCH = _law("stretch", "lambda - 1")
-LAW_STRETCH_SQUARED = _law("stretch_squared", "(lambda - 1)^2")
-LAW_COMPRESSION = _law("compression", "lambda^-3 - 1")
-LAW_COMPRESSION_STEEP = _law("compression_steep", "lambda^-6 - 1")
-LAW_VELOCITY = _law("velocity", "U")
-LAW_VELOCITY_SQUARED = _law("velocity_squared", "U|U|")
-LAW_RATE_SQUARED = _law("rate_squared", "(U/R)|U/R|")
+for _row in (*_OF_MODELS, *_OF_THE_GEL, *_OF_THE_BUBBLE, *_OF_THE_MEDIUM, *_OF_THE_CAMERA):
+    PARAMETERS.register(_row)
 
 
 def dimensionless(

@@ -14,83 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.material import PARAMETERS, Effect, Parameter, TruncatedNormal, register_effect
+from imr_torch.material import PARAMETERS
 from imr_torch.simulate import EARLIEST
-
-
-def _error(name: str, meaning: str, lower: float, upper: float) -> Parameter:
-    return PARAMETERS.register(Parameter(name, meaning, "1", "none", lower, upper, 0.0))
-
-
-MISSED_MAXIMUM = _error("missed_maximum", "true Rmax over the measured one, less 1", -0.2, 0.2)
-TRIGGER_OFFSET = _error("trigger_offset", "time of the first frame, in Rmax/U_c", -0.3, 0.3)
-RINF_BIAS = _error("rinf_bias", "true R_inf over the measured one, less 1", -0.5, 0.5)
-CLOCK = _error("clock", "log of true over measured time at a fixed time scale", -0.3, 0.3)
-EXPOSURE_BLUR = _error("exposure_blur", "exposure, in Rmax/U_c", 0.0, 0.5)
-REFRACTION = _error("refraction", "relative error of R that grows with R*", -0.2, 0.2)
-EDGE_ERROR = PARAMETERS.register(
-    Parameter("edge_error", "measured less true radius", "m", "length", -2e-5, 2e-5, 0.0, display_scale=1e6, display_unit="um")
-)
-
-register_effect(
-    Effect(
-        "missed_maximum",
-        "the true maximum was missed",
-        "measurement",
-        {"missed_maximum": TruncatedNormal(0.0, 0.015)},
-    )
-)
-register_effect(
-    Effect(
-        "trigger_offset",
-        "the clock starts early or late",
-        "measurement",
-        {"trigger_offset": TruncatedNormal(0.0, 0.025)},
-        group="start",
-    )
-)
-register_effect(
-    Effect(
-        "rinf_bias",
-        "the rest radius is misread",
-        "geometry",
-        {"rinf_bias": TruncatedNormal(0.0, 0.05)},
-        group="rest radius",
-    )
-)
-register_effect(
-    Effect(
-        "clock",
-        "frame rate or pixel size is off",
-        "measurement",
-        {"clock": TruncatedNormal(0.0, 0.025)},
-        group="time_scale",
-    )
-)
-register_effect(
-    Effect(
-        "exposure_blur",
-        "frames average over their exposure",
-        "measurement",
-        {"exposure_blur": TruncatedNormal(0.0, 0.05, lower=0.0)},
-    )
-)
-register_effect(
-    Effect(
-        "refraction",
-        "the gel refracts: R is magnified as it grows",
-        "measurement",
-        {"refraction": TruncatedNormal(0.0, 0.01)},
-    )
-)
-register_effect(
-    Effect(
-        "edge_error",
-        "the bubble's edge is misplaced by the same distance in every frame",
-        "measurement",
-        {"edge_error": TruncatedNormal(0.0, 2e-6)},  # about a pixel: published films have 1.5 to 2.8 um a pixel
-    )
-)
 
 _GEOMETRY = ("missed_maximum", "trigger_offset", "rinf_bias")  # in the order of the nuisances of one experiment
 _INSTANT = 1e-6  # exposure, in units of t*, that no frame can tell from none, and whose nodes may be one number
@@ -109,10 +34,10 @@ class Distortion:
 
     Args:
         shifts: common to all experiments, as nuisances are to one.
-        clock: see ``CLOCK``.
-        blur: see ``EXPOSURE_BLUR``; ``batch_shape x E`` where the exposure of each experiment is known.
-        refraction: see ``REFRACTION``.
-        edge: see ``EDGE_ERROR``.
+        clock: log of true over measured time.
+        blur: exposure, in Rmax/U_c; ``batch_shape x E`` where the exposure of each experiment is known.
+        refraction: relative error of R that grows with R*.
+        edge: measured less true radius, m.
     """
 
     shifts: Float[Tensor, "*batch 1 3"]

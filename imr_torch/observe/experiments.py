@@ -17,7 +17,7 @@ from torch import Tensor
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe.collapse import CollapseTime, predict_collapse
-from imr_torch.observe.distortion import EXPOSURE_BLUR, Distortion
+from imr_torch.observe.distortion import Distortion
 from imr_torch.observe.noise import Noise, previous
 from imr_torch.observe.noise_laws import NoiseLaws
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced, impossible
@@ -25,6 +25,8 @@ from imr_torch.observe.scatter import Scatter, with_own
 from imr_torch.simulate import EARLIEST, Simulator, check_designs
 
 _EARLIEST_FILMED = -0.4  # an exposure reaches on from its frame, and so does a clock that is wrong
+
+_LONGEST_EXPOSURE = PARAMETERS["exposure_blur"].upper
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +87,9 @@ class Experiment:
             raise InputDataError(
                 f"Experiment {self.label!r}: radius of frame {frame} is NaN in every repeat; leave it out of times and radius."
             )
-        if not 0.0 <= self.exposure <= EXPOSURE_BLUR.upper:
+        if not 0.0 <= self.exposure <= _LONGEST_EXPOSURE:
             raise InputDataError(
-                f"Experiment {self.label!r}: exposure is {self.exposure:g} of Rmax/U_c; expected 0 to {EXPOSURE_BLUR.upper:g}."
+                f"Experiment {self.label!r}: exposure is {self.exposure:g} of Rmax/U_c; expected 0 to {_LONGEST_EXPOSURE:g}."
             )
         if not 0.0 < self.noise_factor < math.inf:
             raise InputDataError(

@@ -1,7 +1,5 @@
 """The bubble: from a gel and a design to radius, velocity and pressure over time."""
 
-import importlib
-
 from imr_torch.simulate.coarser import coarser, fewer_steps
 from imr_torch.simulate.conditions import (
     PRESETS,
@@ -90,6 +88,3 @@ __all__ = [
     "solve_bundles",
     "with_inner",
 ]
-
-# Registers the parameters of the camera: a vector has every entry, whatever is imported first.
-importlib.import_module("imr_torch.observe")

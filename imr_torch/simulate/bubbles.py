@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 import imr_torch.simulate.effects
-import imr_torch.simulate.gas_effects  # noqa: F401 - both register their effects
+import imr_torch.simulate.gas_effects  # noqa: F401 - both attach their physics
 from imr_torch.elementary import Scalar
 from imr_torch.material import (
     LIBRARY,
@@ -30,6 +30,7 @@ from imr_torch.material import (
 )
 from imr_torch.simulate.conditions import SATURATION_PREFACTOR, SATURATION_TEMPERATURE, Conditions
 from imr_torch.simulate.medium import MEDIUM
+from imr_torch.simulate.setting import Setting
 from imr_torch.units import Number
 
 
@@ -90,74 +91,6 @@ def conductivity_at(temperature: Number, conditions: Conditions) -> Number:
 def far_conductivity(conditions: Conditions) -> float:
     """``K_inf = A T_inf + B`` of the gas, W/(m K)."""
     return conductivity_at(conditions.surroundings.temperature, conditions)
-
-
-class Setting(NamedTuple):
-    """What the numbers of a bubble follow from; each a ``B`` tensor, which effects may change.
-
-    Args:
-        rest_radius: ``R_inf*`` of the design.
-        tension: ``1/We`` as it acts on the wall.
-        slowness: ``1/c``.
-        far: far-field pressure.
-        image: strength of a mirror bubble.
-        velocity: of the wall at time zero.
-        saturation: vapour pressure at the far temperature.
-        conduction: factor on the conductivity of the contents.
-        exponent: of polytropic gas.
-        adiabatic: ratio of specific heats.
-        gas: amount of gas at time zero over that which rests at ``rest_radius``.
-        warmth: mean temperature of the contents at time zero, less 1.
-        pace: ``U_c`` of the medium over that of the surroundings, ``sqrt(rho_0/rho)``.
-        ambient: far-field pressure at which the contents were at rest.
-        resting: ``1/We`` at which they were.
-        temperature: of the medium, K.
-    """
-
-    rest_radius: Float[Tensor, "members"]
-    tension: Float[Tensor, "members"]
-    slowness: Float[Tensor, "members"]
-    far: Float[Tensor, "members"]
-    image: Float[Tensor, "members"]
-    velocity: Float[Tensor, "members"]
-    saturation: Float[Tensor, "members"]
-    conduction: Float[Tensor, "members"]
-    exponent: Float[Tensor, "members"]
-    adiabatic: Float[Tensor, "members"]
-    gas: Float[Tensor, "members"]
-    warmth: Float[Tensor, "members"]
-    pace: Float[Tensor, "members"]
-    ambient: Float[Tensor, "members"]
-    resting: Float[Tensor, "members"]
-    temperature: Float[Tensor, "members"]
-
-    @classmethod
-    def of(cls, designs: Float[Tensor, "members 2"], conditions: Conditions) -> "Setting":
-        """The setting of ``B x 2`` designs without effects."""
-        outer = conditions.surroundings
-        weber, rest = designs.unbind(1)
-
-        def all_at(value: float) -> Tensor:
-            return torch.full_like(weber, value)
-
-        return cls(
-            rest_radius=rest,
-            tension=1.0 / weber,
-            slowness=all_at(outer.velocity_scale / outer.sound_speed),
-            far=all_at(1.0),
-            image=all_at(0.0),
-            velocity=all_at(conditions.initial_velocity / outer.velocity_scale),
-            saturation=all_at(conditions.saturation),
-            conduction=all_at(1.0),
-            exponent=all_at(conditions.gas.exponent),
-            adiabatic=all_at(conditions.mixture.heat_ratio),
-            gas=all_at(1.0),
-            warmth=all_at(0.0),
-            pace=all_at(1.0),
-            ambient=all_at(1.0),
-            resting=1.0 / weber,
-            temperature=all_at(outer.temperature),
-        )
 
 
 class Numbers(NamedTuple):

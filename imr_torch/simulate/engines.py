@@ -8,7 +8,6 @@ and gives the same answer.
 
 import functools
 import importlib.util
-import os
 import warnings
 from dataclasses import is_dataclass, replace
 from typing import Literal
@@ -29,11 +28,6 @@ def check_engine(simulator: str, engine: str, threads: int | None) -> None:
         raise InputDataError(f"{simulator}.engine is {engine!r}; expected one of {', '.join(ENGINES)}.")
     if threads is not None and threads < 1:
         raise InputDataError(f"{simulator}.threads is {threads}; expected at least 1, or None for all cores.")
-
-
-def cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def on_one_thread(simulator: Simulator) -> Simulator:

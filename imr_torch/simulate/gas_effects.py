@@ -4,22 +4,14 @@ A simulation starts at the maximum radius with the gas that rests at ``R_inf``, 
 Each effect drops one of these assumptions. Like those of :mod:`imr_torch.simulate.effects` they do nothing at zero, exactly.
 """
 
-from typing import TYPE_CHECKING
-
 import torch
 
 from imr_torch.elementary import Scalar
-from imr_torch.material import PARAMETERS, Effect, Parameter, TruncatedNormal, register_effect
-
-if TYPE_CHECKING:
-    from imr_torch.simulate.bubbles import Setting
-
-EXCESS_GAS = PARAMETERS.register(
-    Parameter("excess_gas", "log of the gas at time zero over that which rests at R_inf", "1", "none", -2.0, 2.0, 0.0)
-)
+from imr_torch.material.effect import give_physics
+from imr_torch.simulate.setting import Setting
 
 
-def excess_gas(setting: "Setting", excess: Scalar) -> "Setting":
+def excess_gas(setting: Setting, excess: Scalar) -> Setting:
     """The bubble holds more or less non-condensable gas than would rest at ``R_inf``, to which the gel's stress is referred.
 
     How much gas a laser leaves in a bubble does not follow from its maximum radius and is a parameter of its own in models of
@@ -28,23 +20,10 @@ def excess_gas(setting: "Setting", excess: Scalar) -> "Setting":
     return setting._replace(gas=setting.gas * torch.exp(excess))
 
 
-register_effect(
-    Effect(
-        "excess_gas",
-        "the gas at the maximum radius is not that of R_inf",
-        "gas",
-        {"excess_gas": TruncatedNormal(0.0, 0.2)},  # 7 % of R_inf, as tails of repeats differ
-        group="rest radius",
-        setting=excess_gas,
-    )
-)
-
-HOT_CONTENTS = PARAMETERS.register(
-    Parameter("hot_contents", "mean temperature of the contents at time zero over T_inf, less 1", "1", "none", -0.3, 0.6, 0.0)
-)
+give_physics("excess_gas", setting=excess_gas)
 
 
-def hot_contents(setting: "Setting", excess: Scalar) -> "Setting":
+def hot_contents(setting: Setting, excess: Scalar) -> Setting:
     """Contents are hotter (or colder) than the gel at the maximum radius.
 
     The amount of gas is that of ``R_inf``, so its pressure is that of the mean temperature, and falls as heat crosses the wall.
@@ -54,29 +33,7 @@ def hot_contents(setting: "Setting", excess: Scalar) -> "Setting":
     return setting._replace(warmth=setting.warmth + excess)
 
 
-register_effect(
-    Effect(
-        "hot_contents",
-        "the contents are hot (or cold) at the maximum radius",
-        "gas",
-        {"hot_contents": TruncatedNormal(0.0, 0.15, lower=-0.3, upper=0.6)},  # 45 K: growth lasts several times of conduction
-        setting=hot_contents,
-    )
-)
-
-RINF_DRIFT = PARAMETERS.register(
-    Parameter(
-        "rinf_drift",
-        "relative rate at which the gas's rest radius grows",
-        "1/s",
-        "rate",
-        -1e5,
-        1e5,
-        0.0,
-        display_scale=1e-3,
-        display_unit="1/ms",
-    )
-)
+give_physics("hot_contents", setting=hot_contents)
 
 
 def rinf_drift(radius: Scalar, velocity: Scalar, rest_radius: Scalar, drift: Scalar) -> Scalar:
@@ -89,12 +46,4 @@ def rinf_drift(radius: Scalar, velocity: Scalar, rest_radius: Scalar, drift: Sca
     return -3.0 * drift + 0.0 * radius
 
 
-register_effect(
-    Effect(
-        "rinf_drift",
-        "gas comes or goes over the event: the tail drifts",
-        "gas",
-        {"rinf_drift": TruncatedNormal(0.0, 500.0)},  # 1 % in Rmax/U_c of a bubble of 200 um
-        gas_loss=rinf_drift,
-    )
-)
+give_physics("rinf_drift", gas_loss=rinf_drift)

@@ -17,60 +17,46 @@ pressure during the collapse alone; here the contents, which were in equilibrium
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.elementary import Scalar
-from imr_torch.material import PARAMETERS, Effect, Parameter, TruncatedNormal, register_effect
-
-if TYPE_CHECKING:
-    from imr_torch.simulate.bubbles import Setting
+from imr_torch.material.effect import give_physics
+from imr_torch.simulate.setting import Setting
 
 _EVAPORATION = 5200.0  # K, of p_sat ~ exp(-5200/T) (Estrada et al. 2018, eq. 18)
 
 
-def _log_factor(name: str, meaning: str, bound: float) -> Parameter:
-    meaning = f"log of the medium's {meaning} over the stated one"
-    return PARAMETERS.register(Parameter(name, meaning, "1", "none", -bound, bound, 0.0))
-
-
-DENSITY = _log_factor("density", "density", 2.0)
-TENSION = _log_factor("medium_tension", "surface tension", 3.0)
-PRESSURE = _log_factor("medium_pressure", "far-field pressure", 2.0)
-TEMPERATURE = _log_factor("medium_temperature", "temperature in K", 0.2)
-
-
-def density(setting: "Setting", factor: Scalar) -> "Setting":
+def density(setting: Setting, factor: Scalar) -> Setting:
     """A denser medium moves more slowly under the same pressures."""
     return setting._replace(pace=setting.pace * torch.exp(-0.5 * factor))
 
 
-def tension(setting: "Setting", factor: Float[Tensor, "members"]) -> "Setting":
+def tension(setting: Setting, factor: Float[Tensor, "members"]) -> Setting:
     """Surface tension, of the moving bubble and of the one at rest."""
     scale = torch.exp(factor)
     return setting._replace(tension=setting.tension * scale, resting=setting.resting * scale)
 
 
-def pressure(setting: "Setting", factor: Float[Tensor, "members"]) -> "Setting":
+def pressure(setting: Setting, factor: Float[Tensor, "members"]) -> Setting:
     """Far-field pressure, during the collapse and at rest."""
     scale = torch.exp(factor)
     return setting._replace(far=setting.far + (scale - 1.0), ambient=setting.ambient * scale)
 
 
-def temperature(setting: "Setting", factor: Float[Tensor, "members"]) -> "Setting":
+def temperature(setting: Setting, factor: Float[Tensor, "members"]) -> Setting:
     """Far-field temperature: vapour pressure, conduction of heat and viscous heating."""
     warm = setting.temperature * torch.exp(factor)
     more = torch.exp(_EVAPORATION / setting.temperature - _EVAPORATION / warm)
     return setting._replace(temperature=warm, saturation=setting.saturation * more)
 
 
-MEDIUM: dict[str, Callable[["Setting", Tensor], "Setting"]] = {
-    TENSION.name: tension,
-    PRESSURE.name: pressure,
-    TEMPERATURE.name: temperature,
+MEDIUM: dict[str, Callable[[Setting, Tensor], Setting]] = {
+    "medium_tension": tension,
+    "medium_pressure": pressure,
+    "medium_temperature": temperature,
 }
 """Parameter -> what it does to a setting. Density and sound speed are effects of the library as well, and act as such."""
 
@@ -83,13 +69,4 @@ OF_MEDIUM = {
 }
 """Field of :class:`imr_torch.units.Surroundings` -> the parameter that is the logarithm of its factor."""
 
-register_effect(
-    Effect(
-        "density",
-        "the medium's density differs",
-        "liquid",
-        {"density": TruncatedNormal(0.0, 0.05)},
-        group="time_scale",
-        setting=density,
-    )
-)
+give_physics("density", setting=density)

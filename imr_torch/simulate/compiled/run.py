@@ -27,11 +27,11 @@ from imr_torch.simulate.compiled.paths import EXHAUSTED, Leaders
 from imr_torch.simulate.compiled.vectors import as_rows
 from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.driving import DRIVING_LAWS, LawDriving
-from imr_torch.simulate.engines import cores
 from imr_torch.simulate.gas import polytropic as polytropic_law
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.radial import RADIAL_EQUATIONS
 from imr_torch.simulate.simulator import Status
+from imr_torch.threads import cores
 
 _CHUNK = 64  # bundles between two looks at the keyboard, at most
 _KEPT = 64  # sets of arrays that are kept for the next call
