@@ -8,7 +8,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
-from imr_torch.observe.plausibility import RAYLEIGH_TIME, check_experiment, check_maximum
+from imr_torch.observe.plausibility import FIRST_COLLAPSE, RAYLEIGH_TIME, check_experiment, check_maximum
 from imr_torch.observe.traces import RadiusTrace, TraceSet
 from imr_torch.units import Surroundings
 
@@ -105,7 +105,7 @@ def prepare(
         marks = landmarks[name]
         cautions += check_maximum(trace, marks, outer)
         whole = to_experiment(trace, marks, outer, rest_radius=rest_radius)
-        first = _collapse(whole, marks, outer, 1)
+        first = _first_collapse(whole, marks, outer)
         cautions += check_experiment(whole, where, first=first)
         window = _window(trace, whole, marks, outer, collapses)
         experiments.append(window)
@@ -114,6 +114,14 @@ def prepare(
     cautions += _outvoted(experiments)
     cautions += () if rest_radius else _passed_over(traces, landmarks)
     return Prepared(tuple(experiments), landmarks, frames, firsts, rest_radius is not None, tuple(cautions))
+
+
+def _first_collapse(whole: Experiment, marks: Landmarks, surroundings: Surroundings) -> float:
+    """:func:`_collapse` of the first; of a bubble that has come down long before it, a late minimum is noise and none."""
+    first, radius = _collapse(whole, marks, surroundings, 1), whole.radius[0]
+    latest = FIRST_COLLAPSE.possible[1]
+    came_down = whole.times[(radius < 0.5 * (radius.max() + radius.min())).double().argmax()]
+    return math.inf if first > latest >= 2.0 * float(came_down) else first
 
 
 def _borrowed(landmarks: dict[str, Landmarks]) -> list[str]:

@@ -50,3 +50,16 @@ def test_that_a_record_without_rest_radius_takes_that_of_the_other_curves_widely
     assert any("'short' holds no rebound and no R_inf is stated" in text for text in prepared.cautions)
     with pytest.raises(InputDataError, match="no rebound and no given R_inf"):
         prepare(TraceSet((cut,)))
+
+
+def test_that_a_late_minimum_of_an_overdamped_bubble_is_no_collapse_and_that_of_wrong_units_is_refused() -> None:
+    """A bubble that creeps to rest, with one deep frame long after; and a plain one whose times are ten times too long."""
+    time = np.linspace(0.0, 1.2e-4, 121)
+    radius = REST + (TOP - REST) * np.exp(-time / 8e-6)
+    radius[100] -= 0.4 * REST
+    late = RadiusTrace("late", torch.tensor(time), torch.tensor(radius), "memory", Given(rest_radius_m=REST))
+    prepared = prepare(TraceSet((late,)))
+    assert prepared.first_collapses["late"] == np.inf
+    slow = damped("slow", 0.4, Given(rest_radius_m=REST))
+    with pytest.raises(InputDataError, match="first collapse is at"):
+        prepare(TraceSet((RadiusTrace("slow", 10.0 * slow.time_s, slow.radius_m, "memory", slow.given),)))
