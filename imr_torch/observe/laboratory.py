@@ -1,13 +1,13 @@
 """A simulated laboratory: noisy R(t) curves of a gel with given true parameters, at any design."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.observe.experiments import Experiment
+from imr_torch.observe.experiments import Experiment, ExperimentBatch, predict
 from imr_torch.observe.noise import Noise
 from imr_torch.observe.nuisance import Nuisance
 from imr_torch.random import child, generator
@@ -20,7 +20,7 @@ class SimulatedLaboratory:
 
     Args:
         simulator: the truth's physics.
-        truth: the gel's parameters, SI.
+        truth: the gel's parameters, SI, with errors of the camera that all experiments share, which act as in predictions.
         noise: observation noise.
         repeats: curves per design.
         times: dimensionless frame times; 81 frames up to t* = 4 by default.
@@ -60,11 +60,13 @@ class SimulatedLaboratory:
         wobble = torch.randn(2, generator=source, dtype=torch.float64) * torch.tensor(self.scatter, dtype=torch.float64)
         true = design * torch.exp(wobble)
         shifts = torch.randn(3, generator=source, dtype=torch.float64) * self.nuisance.sds()
-        scale, offset, rest = 1.0 + float(shifts[0]), float(shifts[1]), 1.0 + float(shifts[2])
-        solution = self.simulator(self.truth, true, (self.times + offset) / scale)
-        if not bool(solution.ok):
-            raise ConvergenceError(f"The laboratory's own bubble at {true.tolist()} failed: {solution.summary()}")
-        radius = self.noise.draw(solution.radius * scale, self.times, self.repeats, generator=source)
+        scale, rest = 1.0 + float(shifts[0]), 1.0 + float(shifts[2])
         measured = (float(true[0]) / scale, float(true[1]) * scale / rest)
         name = label or f"We {measured[0]:.0f}, R_inf* {measured[1]:.3f}"
-        return Experiment(name, measured, self.times, radius, self.nuisance)
+        blank = Experiment(name, measured, self.times, torch.ones(1, len(self.times), dtype=torch.float64), self.nuisance)
+        clean = predict(self.simulator, self.truth, ExperimentBatch((blank,)), shifts[None])[0]
+        if not bool(torch.isfinite(clean).all()):
+            solution = self.simulator(self.truth, true, self.times)
+            raise ConvergenceError(f"The laboratory's own bubble at {true.tolist()} failed: {solution.summary()}")
+        radius = self.noise.draw(clean, self.times, self.repeats, generator=source)
+        return replace(blank, radius=radius)

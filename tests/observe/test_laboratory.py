@@ -8,9 +8,9 @@ from scipy.optimize import minimize_scalar
 from torch import Tensor
 
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.material import PARAMETERS
+from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory, displaced, predict
-from imr_torch.simulate import PolytropicSimulator
+from imr_torch.simulate import PolytropicSimulator, TransportSimulator
 from tests.linear import LinearSimulator, tensor
 
 EXACT = Noise(floor=1e-12, slope=0.0, drift=0.0)
@@ -145,3 +145,18 @@ def test_that_an_impossible_design_is_refused(design: Tensor) -> None:
 def test_that_a_laboratory_makes_at_least_one_curve(repeats: int) -> None:
     with pytest.raises(InputDataError, match=rf"SimulatedLaboratory.repeats is {repeats}; at least 1 curve per design"):
         laboratory(repeats=repeats)
+
+
+@pytest.mark.parametrize("effect", LIBRARY.values(), ids=LIBRARY)
+def test_that_every_effect_of_the_library_acts_on_what_is_shot(effect) -> None:
+    """Errors of the camera too, and as in predictions, with which data are fitted."""
+    values = dict(zip(effect.names, effect.starts[-1], strict=True))
+    gel = PARAMETERS.pack({"G": 6000.0, "mu": 0.12, **values})
+    times = torch.linspace(0.0, 3.0, 61, dtype=torch.float64)
+    shots = [
+        SimulatedLaboratory(TransportSimulator(), one, noise=EXACT, repeats=1, times=times).shoot(DESIGN, seed=1)
+        for one in (truth(), gel)
+    ]
+    assert float((shots[1].radius - shots[0].radius).abs().max()) > 1e-4
+    seen = predict(TransportSimulator(), gel, ExperimentBatch((shots[1],)))
+    torch.testing.assert_close(shots[1].radius, seen, rtol=0.0, atol=1e-10)
