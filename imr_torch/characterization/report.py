@@ -7,6 +7,7 @@ from imr_torch.assimilate import ModelFit, Verdict
 from imr_torch.characterization.bands import intervals
 from imr_torch.characterization.collapse import patterns
 from imr_torch.characterization.effort import EFFORTS
+from imr_torch.labels import model_probability
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import CollapseTime, noise_sentences
 from imr_torch.select import Bound, probability_errors
@@ -36,9 +37,9 @@ def report_lines(result: "Characterization", command: str) -> list[str]:
     errors = probability_errors(result.assimilation.prior, result.evidence)
     unit = "R*" if result.experiments else "t*"
     for fit in order:
+        probability = model_probability(result.posterior.probabilities[fit.model], errors[fit.model])
         lines.append(
-            f"\n{fit.prior.material.title:10s} probability {result.posterior.probabilities[fit.model]:.3f} "
-            f"+- {errors[fit.model]:.3f}, RMSE {result.assimilation.rmse(fit.model):.4f} in {unit}"
+            f"\n{fit.prior.material.title:10s} {probability}, RMSE {result.assimilation.rmse(fit.model):.4f} in {unit}"
         )
         for found in result.identifiability(fit):
             parameter = found.parameter

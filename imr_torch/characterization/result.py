@@ -19,7 +19,7 @@ from imr_torch.observe import Experiment, GelMedium, Landmarks, Noise, Prepared
 from imr_torch.observe.frames import FrameUse
 from imr_torch.population import Population
 from imr_torch.saved import SavedCharacterization, draws_to_dict
-from imr_torch.select import Evidence, Identifiability, PredictiveScore, identifiability
+from imr_torch.select import Evidence, Identifiability, PredictiveScore, identifiability, probability_errors
 from imr_torch.units import Surroundings
 
 if TYPE_CHECKING:
@@ -144,6 +144,7 @@ class Characterization:
             **({} if self.medium is None else medium_document(self.medium, self.sensitivities, self.posterior.best)),
             "collapse_times": self.collapse_times(),
             "model_probabilities": self.posterior.probabilities,
+            "model_probability_errors": probability_errors(self.assimilation.prior, self.evidence),
             "models": models,
             "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
             "noise": vars(self.noise),

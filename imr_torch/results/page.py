@@ -7,6 +7,7 @@ import matplotlib.pyplot as plt
 
 from imr_torch.assimilate import BadFrame
 from imr_torch.html import Block, Picture, Preformatted, Table, page
+from imr_torch.labels import model_probability
 from imr_torch.material import PARAMETERS, material
 from imr_torch.observe import Noise, noise_sentences
 from imr_torch.results.collapse import collapse_rows
@@ -108,8 +109,7 @@ def _not_drawn(figure: NamedFigure, error: Exception) -> str:
 
 def gel_table(document: Mapping[str, Any], best: str) -> Table:
     """Model, its probability, and every parameter with its 90 % interval."""
-    probability = document["model_probabilities"][best]
-    rows = [("Model", f"{material(best).title}, probability {probability:.3f} among {len(document['models'])} candidate(s)")]
+    rows = [("Model", f"{material(best).title}, {_probability(document, best)} among {len(document['models'])} candidate(s)")]
     for name, (low, middle, high) in document["models"][best]["intervals"].items():
         words = document["models"][best].get("identifiability", {}).get(name, Bound.BOTH.value)
         said = "" if words == Bound.BOTH.value else f"; {words}"
@@ -201,12 +201,17 @@ def frame_lines(document: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(lines)
 
 
+def _probability(document: Mapping[str, Any], key: str) -> str:
+    """The probability of a model with the error of its computation."""
+    return model_probability(document["model_probabilities"][key], document["model_probability_errors"][key])
+
+
 def _models(document: Mapping[str, Any]) -> Table:
     order = sorted(document["models"], key=lambda key: -document["model_probabilities"][key])
     rows = []
     for key in order:
         entry, probability = document["models"][key], document["model_probabilities"][key]
-        shown = f"{probability:.3f}" if probability >= _IMPROBABLE else f"< {_IMPROBABLE:g}"
+        shown = _probability(document, key) if probability >= _IMPROBABLE else f"< {_IMPROBABLE:g}"
         values = "; ".join(f"{name} {PARAMETERS[name].interval(*triple)}" for name, triple in entry["intervals"].items())
         rows.append((material(key).title, shown, f"{entry['rmse']:.4f}", values))
     return Table(tuple(rows), ("model", "probability", f"residual ({'R*' if document['curves'] else 't*'})", "parameters"))

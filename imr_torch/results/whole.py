@@ -11,6 +11,7 @@ _NUMBER = (int, float)
 _LIST = (list, tuple)
 _CHARACTERIZATION: dict[str, Any] = {
     "model_probabilities": dict,
+    "model_probability_errors": dict,
     "models": dict,
     "noise": {"scale": _NUMBER, "floor": _NUMBER, "correlation_time": _NUMBER},
     "curves": _LIST,
@@ -51,7 +52,8 @@ def check_characterization(document: Mapping[str, Any]) -> None:
         if set(keys) != set(document["model_probabilities"]):
             raise _wrong(name, f"a belief of {', '.join(keys)}", f"one of {', '.join(document['model_probabilities'])}")
     _check(document["models"], dict.fromkeys(document["model_probabilities"], _ENTRY), "models")
-    _check(document["model_probabilities"], dict.fromkeys(document["model_probabilities"], _NUMBER), "model_probabilities")
+    for name in ("model_probabilities", "model_probability_errors"):
+        _check(document[name], dict.fromkeys(document["model_probabilities"], _NUMBER), name)
     if not document["curves"] and not document.get("collapse_times"):
         raise _wrong("curves", "empty", "a curve at least, or collapse_times")
     for number, shot in enumerate(document.get("collapse_times") or ()):
