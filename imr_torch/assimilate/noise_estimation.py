@@ -123,6 +123,18 @@ def noise_nodes(result: Assimilation, simulator: Simulator) -> NoiseNodes | None
     Args:
         result: fits whose batch has its noise inferred.
         simulator: makes the bubbles.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import SearchOptions, assimilate_estimating_noise, noise_nodes, weigh
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=1)
+    >>> shot, options = laboratory.shoot(torch.tensor([400.0, 0.22]).double(), seed=1), SearchOptions(raw_samples=16, starts=2)
+    >>> fits = assimilate_estimating_noise(case.prior, ExperimentBatch((shot,)), simulator, rounds=1, seed=0, options=options)
+    >>> weigh(fits, simulator, seed=0, samples=64, noise=noise_nodes(fits, simulator))["nhkv"].sample.reliable
+    True
     """
     batch = result.batch
     if batch.noise_laws is None or bool(batch.collapse.any()):

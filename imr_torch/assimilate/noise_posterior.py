@@ -82,6 +82,14 @@ class NoiseNodes:
         laws: ``J`` laws, each at its most probable scale.
         log_factors: ``J x S`` tensor, logarithms of factors on these.
         log_prior: weight of each in the likelihood, nats.
+
+    >>> import torch
+    >>> from imr_torch.assimilate import NoiseNodes
+    >>> from imr_torch.observe import Noise
+    >>> half = torch.full((1, 2), 0.5, dtype=torch.float64)
+    >>> nodes = NoiseNodes((Noise(),), torch.tensor([[0.0, 0.69314718]], dtype=torch.float64), half.log())
+    >>> len(nodes), round(nodes.law(1).scale, 3)
+    (2, 2.0)
     """
 
     laws: tuple[Noise, ...]

@@ -36,6 +36,15 @@ class Cloud:
         controls: of equal weight.
         precisions: of the controls, locally.
         marginals: quantiles of each control by all draws, weighted, at the probabilities of :attr:`SCORES`.
+
+    >>> import torch
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.material import Cloud
+    >>> part = wide_prior(["nhkv"])["nhkv"]
+    >>> scores, draws = torch.tensor(Cloud.SCORES, dtype=torch.float64), part.controls(4, seed=0)
+    >>> bent = part.with_cloud(Cloud(draws, torch.eye(2).double().expand(4, 2, 2), 0.5 * scores[:, None].expand(-1, 2)))
+    >>> [round(float(x)) for x in bent.quantile([0.5, 0.95])[:, 0] / part.quantile([0.5])[0, 0]]
+    [1, 4]
     """
 
     SCORES: ClassVar[tuple[float, ...]] = tuple(0.25 * k for k in range(-12, 13))

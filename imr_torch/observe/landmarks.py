@@ -187,11 +187,17 @@ def _frame_noise(radius: np.ndarray) -> float:
     top = float(radius.max())
     if len(radius) < 12:
         return DEFAULT_NOISE * top
-    return float(np.clip(_roughness(radius), NOISE_RANGE[0] * top, NOISE_RANGE[1] * top))
+    return float(np.clip(roughness(radius), NOISE_RANGE[0] * top, NOISE_RANGE[1] * top))
 
 
-def _roughness(radius: np.ndarray) -> float:
-    """Standard deviation of a frame by the median third difference, which a local parabola does not change."""
+def roughness(radius: np.ndarray) -> float:
+    """Standard deviation of a frame by the median third difference, which a local parabola does not change.
+
+    >>> import numpy as np
+    >>> from imr_torch.observe.landmarks import roughness
+    >>> round(roughness(np.random.default_rng(0).normal(1.0, 0.02, 500)), 2)
+    0.02
+    """
     if len(radius) < 6:
         return 0.0
     return 1.4826 * float(np.median(np.abs(np.diff(radius, 3)))) / math.sqrt(20.0)
@@ -359,7 +365,7 @@ def _turning_points(radius: np.ndarray, start: int, noise: float) -> list[tuple[
     places = np.arange(len(radius)) - LOCAL_FRAMES // 2
     last = max(len(radius) - LOCAL_FRAMES, 0)
     near = [radius[k : k + LOCAL_FRAMES] for k in places.clip(0, last)]
-    local = np.array([_roughness(some) if len(some) >= LOCAL_FRAMES else noise for some in near])
+    local = np.array([roughness(some) if len(some) >= LOCAL_FRAMES else noise for some in near])
     threshold = np.maximum(REVERSAL * noise, LOCAL_REVERSAL * local)
     sign, best = -1, start
     for i in range(start + 1, len(radius)):
@@ -403,7 +409,7 @@ def _rest(
     if stated is not None and settled is not False:  # better than what a bubble shows that still oscillates
         floor = MIN_STATED_SD if settled or stated_sd else MIN_RINGING_SD
         return stated, max(stated_sd, floor * stated), True, "as given"
-    if came_to_rest and scatter < NOISY_TAIL * _roughness(tail):  # ringing that the noise may hide
+    if came_to_rest and scatter < NOISY_TAIL * roughness(tail):  # ringing that the noise may hide
         return mean, math.hypot(scatter, drift, MIN_RINGING_SD * mean), True, "settled tail"
     if maxima or (minima and time[-1] - minima[0].time > minima[0].time - turns[0]):
         first, last, method = _last_cycles(time, minima, maxima)
@@ -426,7 +432,7 @@ def _rest_while_ringing(time: np.ndarray, radius: np.ndarray) -> tuple[float, fl
     mean = float(np.trapezoid(radius, time) / (time[-1] - time[0]))
     low, high = float(radius.min()), float(radius.max())
     excess = -RINGING_POWER * math.log(low * high / mean**2)
-    by_noise = RINGING_POWER * _roughness(radius) * math.hypot(1.0 / low, 1.0 / high)
+    by_noise = RINGING_POWER * roughness(radius) * math.hypot(1.0 / low, 1.0 / high)
     return mean * math.exp(-excess), math.hypot(min(abs(excess), RINGING_SD), by_noise)
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
-from imr_torch.observe.landmarks import NEIGHBOUR, Landmarks
+from imr_torch.observe.landmarks import NEIGHBOUR, Landmarks, roughness
 from imr_torch.observe.traces import RadiusTrace
 from imr_torch.observe.window import collapse_time
 from imr_torch.units import Surroundings
@@ -39,12 +39,14 @@ WEBER = Range((1.0, 1e5), (20.0, 3000.0))
 REST_RADIUS = Range((0.02, 0.95), (0.07, 0.65))
 FIRST_COLLAPSE = Range((0.25, 3.0), (0.7, 1.4))
 LARGEST_RADIUS = Range((0.7, 1.1), (0.85, 1.05))
+SCATTER = Range((0.0, 0.25), (0.0, 0.15))
 STATED_OVER_SEEN = Range((0.75, 1.35), (0.95, 1.1))
 _LONGEST_EXPOSURE = 1.05  # of the time between frames
 _LEAST_CHANGE = 0.01  # of the largest radius
 _LATEST_MAXIMUM = 0.45  # t* of the largest frame
 _FRAMES = 2.5  # by which the maximum may lie before the first frame of a record that begins near it
 _SHORTEST, _LONGEST = 0.1, 3.0  # t* that a record without a collapse may last
+_MANY = 12  # frames, from which on their scatter is looked at
 _DENSE = 0.15  # t* between frames, within which no bubble falls by a quarter from its maximum
 
 
@@ -61,7 +63,8 @@ def check_experiment(experiment: Experiment, where: str, *, first: float | None 
         Cautions, a sentence each.
 
     Raises:
-        InputDataError: for a Weber number, a rest radius, a largest radius, its time, or a first collapse that no bubble has.
+        InputDataError: for a Weber number, a rest radius, a largest radius, its time, or a first collapse that no bubble has,
+            and for frames that scatter like noise.
 
     >>> import torch
     >>> from imr_torch.observe import Experiment, check_experiment
@@ -100,6 +103,12 @@ def check_experiment(experiment: Experiment, where: str, *, first: float | None 
         if last < _SHORTEST:
             raise InputDataError(f"{text} Expected at least {_SHORTEST}.{advice}")
         cautions.append(f"{text} Only overdamped bubbles do not rebound.{advice}")
+    scatter = roughness(radius.numpy()) / max(float(radius.amax() - radius.amin()), 1e-300)
+    if len(radius) >= _MANY and scatter > SCATTER.usual[1]:
+        what = f"{where}: neighbouring frames scatter by {100.0 * scatter:.0f} % of the range of all radii, as noise alone does"
+        if scatter > SCATTER.possible[1]:
+            raise InputDataError(f"{what}; check which column holds the radii.")
+        cautions.append(f"{what}; usual is less than {100.0 * SCATTER.usual[1]:.0f} %.")
     return tuple(cautions)
 
 

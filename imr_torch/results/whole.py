@@ -40,10 +40,10 @@ def check_characterization(document: Mapping[str, Any]) -> None:
     >>> from imr_torch.errors import InputDataError
     >>> from imr_torch.results.whole import check_characterization
     >>> try:
-    ...     check_characterization({"model_probabilities": {"nhkv": 1.0}, "models": 5})
+    ...     check_characterization(dict.fromkeys(("model_probabilities", "model_probability_errors"), {"nhkv": 1.0}))
     ... except InputDataError as error:
     ...     print(error)
-    models is 5; expected an object. The result is not whole: make it anew.
+    models is missing; expected an object. The result is not whole: make it anew.
     """
     _check(document, _CHARACTERIZATION, "")
     for name in ("prior", "belief"):
