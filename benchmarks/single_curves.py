@@ -228,6 +228,8 @@ def tasks(args: argparse.Namespace) -> Iterator[tuple[str, Callable[[], dict[str
     """Key and work of every set that was asked for."""
     if args.what == "labelled":
         for key, traces, law, truth in labelled(Path(args.folder), args.stated):
+            if args.only and key.split("/")[0] not in args.only.split(","):
+                continue
             yield key, partial(row, key, key.split("/")[0], traces, truth, with_noise([law] * SHOTS))
         return
     kinds = args.only.split(",") if args.only else [*NOISES, "gels", "effect"]
