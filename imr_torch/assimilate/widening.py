@@ -113,9 +113,10 @@ def interval_factor(fits: Sequence[WhitenedFit], deviations: Deviations) -> floa
         moved = fit.whitening.mT @ own
         for duration in deviations.durations.unique().tolist():
             scatter = (moved.mT @ fit.smooth(duration) @ moved).sum(0)
-            by_smooth[deviations.durations == duration] += fit.stride * float((inverse @ scatter).trace())
+            own_scatter = float((inverse @ scatter).trace())
+            by_smooth[deviations.durations == duration] += fit.stride * own_scatter  # pairs of frames go as its square
         bent = (moved.mT @ (fit.bend.square()[..., None] * moved)).sum(0)
-        by_bend += fit.stride * float((inverse @ bent).trace())
+        by_bend += float((inverse @ bent).trace())
     added = deviations.smooth * by_smooth + deviations.bends.square() * by_bend
     widths = (1.0 + added / max(told, 1e-300)).sqrt()
     weights = torch.softmax(deviations.log_weights, 0)
