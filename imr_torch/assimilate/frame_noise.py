@@ -12,14 +12,16 @@ Where designs were repeated, the repeats decide: their deviations from their mea
 The law is ``scale * sqrt((slope |R*-1| + drift t*)^2 + floor^2)`` with free proportions. One curve whose noise is not that of
 the others gets a factor of its own. Gaussian processes by their state space: Hartikainen & Sarkka, IEEE MLSP 2010.
 
-Fits take frames as independent, so that a curve passes through its frames also where a model misses them. What residuals have
-in common makes their intervals too narrow then; :attr:`FrameNoise.widened` says by how much.
+Intervals of the gel are another question. Fits take frames as independent, with the law that is most probable if residuals are
+nothing else, so that they pass through the curves also where the model misses them. What residuals have in common makes their
+intervals too narrow then; :attr:`FrameNoise.widened` says by how much. Where the model is right both laws are one.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -30,15 +32,15 @@ from imr_torch.assimilate.noise_law import LocalNoise, best_scales, equation_blo
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.assimilate.repeats import law_of_repeats
 from imr_torch.assimilate.spikes import bends
-from imr_torch.assimilate.widening import Deviations, WhitenedFit, interval_factor, log_marginals
+from imr_torch.assimilate.widening import interval_factor
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws
 
 _FRAMES = 400  # of a longer record every second, third, ... frame is used
 _AT_ONCE = 1500  # combinations filtered side by side
 _KEPT = 1e-4  # weight over the largest from which on a law is kept
 _OWN_SD = 0.7  # prior standard deviation of the logarithm of one curve's own noise factor
+_MISSED = 1.1  # of repeats' own noise, from which on residuals about a fit are more than that
 _FEWEST = 12  # frames that a curve needs for a factor of its own
-_LIKELY = 1e-3  # weight over the largest from which on a combination counts for intervals
 
 
 @dataclass(frozen=True)
@@ -89,18 +91,20 @@ class FrameNoise:
         laws: the posterior.
         factors: of each experiment, its noise over the law; 1 where it is that of the others.
         factor_sds: standard deviations of their logarithms.
-        widened: factor by which 90 % intervals of the gel from independent frames are to be wider, for what residuals have in
-            common; near 1 where the model explains the curves.
+        independent: the central law and the posterior if residuals are independent; as the two above when not given.
+        widened: factor by which 90 % intervals of the gel by that law are to be wider, for what residuals have in common; near
+            1 where the model explains the curves.
 
     >>> import torch
+    >>> from dataclasses import replace
     >>> from imr_torch.assimilate import FrameNoise
     >>> from imr_torch.observe import Experiment, ExperimentBatch, Noise, NoiseLaws
     >>> times, one = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64), torch.ones(1, dtype=torch.float64)
     >>> shots = tuple(Experiment(f"shot {k}", (400.0, 0.22), times, torch.ones(1, 3)) for k in range(2))
-    >>> noise = FrameNoise(Noise(scale=1.2), NoiseLaws((Noise(scale=1.2),), one, 0.1 * one), (1.0, 3.0), (0.0, 0.2), 2.0)
+    >>> noise = FrameNoise(Noise(scale=1.2), NoiseLaws((Noise(scale=1.2),), one, 0.1 * one), (1.0, 3.0), (0.0, 0.2))
     >>> [e.noise_factor for e in noise.applied(ExperimentBatch(shots)).curves]
     [1.0, 3.0]
-    >>> noise.for_intervals.law.scale
+    >>> replace(noise, widened=2.0).for_fits(widen=True).law.scale
     2.4
     """
 
@@ -108,17 +112,15 @@ class FrameNoise:
     laws: NoiseLaws
     factors: tuple[float, ...]
     factor_sds: tuple[float, ...]
+    independent: tuple[Noise, NoiseLaws] | None = None
     widened: float = 1.0
 
-    @property
-    def for_intervals(self) -> "FrameNoise":
-        """The same with laws that are enlarged by :attr:`widened`, as the intervals of a fit need them."""
-
-        def enlarged(law: Noise) -> Noise:
-            return replace(law, scale=law.scale * self.widened, widened=self.widened)
-
-        laws = replace(self.laws, laws=tuple(enlarged(law) for law in self.laws.laws))
-        return replace(self, law=enlarged(self.law), laws=laws)
+    def for_fits(self, *, widen: bool) -> "FrameNoise":
+        """The laws of independent residuals, enlarged if intervals are to be right; with those of single frames."""
+        factor = self.widened if widen else 1.0
+        law, laws = self.independent or (self.law, self.laws)
+        enlarged = tuple(replace(one, scale=one.scale * factor, widened=factor) for one in (law, *laws.laws))
+        return replace(self, law=enlarged[0], laws=replace(laws, laws=enlarged[1:], frames=self.laws))
 
     def of_curve(self, number: int) -> "FrameNoise":
         """The noise of one of the curves."""
@@ -163,8 +165,8 @@ def infer_frame_noise(near: Neighbourhood | Sequence[Neighbourhood], prior: Fram
     prior, curves = prior or FrameNoisePrior(), [e for one in fits for e in one.posterior.batch.curves]
     if all(e.repeats > 1 for e in curves):
         law, laws = law_of_repeats([one.posterior.batch for one in fits], prior.law)
-        widened = _factor_of_repeats(fits, law, prior)
-        return FrameNoise(law, laws, (1.0,) * len(curves), (0.0,) * len(curves), widened)
+        known = FrameNoise(law, laws, (1.0,) * len(curves), (0.0,) * len(curves))
+        return replace(known, **_of_all_residuals(fits, law))
     grid = _Grid.of(fits, prior)
     factors = torch.ones(len(curves), dtype=torch.float64)
     sds = torch.zeros_like(factors)
@@ -322,11 +324,18 @@ class _Grid:
         return torch.cat([law.sd(c.near.centre, c.near.posterior.batch.times)[c.rows].log() for c in self.curves])
 
     def concluded(self, found: _Found, factors: Tensor, factor_sds: Tensor) -> FrameNoise:
-        """Laws alike in all but their deviations together, the central one, and what deviations do to intervals."""
+        """What is known of the noise of frames, of that of independent residuals, and what the rest does to intervals."""
+        law, laws = self.summed(found, torch.isfinite(found.log_weights))
+        independent = self.summed(found, (self.values[:, 3] == 0.0) & (self.values[:, 5] == 0.0))
+        widened = interval_factor([c.near for c in self.curves], independent[0])
+        return FrameNoise(law, laws, tuple(factors.tolist()), tuple(factor_sds.tolist()), independent, widened)
+
+    def summed(self, found: _Found, rows: Tensor) -> tuple[Noise, NoiseLaws]:
+        """Laws alike in all but their deviations together, of some of the combinations, and the central one."""
         laws, weights, sds = [], [], []
         keys, group = self.values[:, :3].unique(dim=0, return_inverse=True)
         for number, (slope, drift, floor) in enumerate(keys.tolist()):
-            own = (group == number) & torch.isfinite(found.log_weights)
+            own = (group == number) & rows & torch.isfinite(found.log_weights)
             if not bool(own.any()):
                 continue
             total = float(found.log_weights[own].logsumexp(0))
@@ -347,33 +356,18 @@ class _Grid:
         if sum(int(c.rows.sum()) for c in self.curves) < self.prior.few:
             raised = max(0.0, float(self.log_sd(self.prior.law).mean() - centre))
             known = replace(known, laws=tuple(replace(law, scale=law.scale * math.exp(raised)) for law in chosen))
-        law = replace(chosen[best], scale=chosen[best].scale * math.exp(float(centre - logs[best].mean()) + raised))
-        widened = interval_factor(_whitened(self.curves, law, factors), self.deviations(found, factors))
-        return FrameNoise(law, known, tuple(factors.tolist()), tuple(factor_sds.tolist()), widened)
-
-    def deviations(self, found: _Found, factors: Tensor) -> Deviations:
-        """What residuals may have in common, of the combinations that matter."""
-        kept = found.log_weights > found.log_weights.max() + math.log(_LIKELY)
-        scale, values = found.log_scales[kept].exp(), self.values[kept]
-        smooth = (scale * values[:, 3]).square() * self.level(factors)[kept]
-        return Deviations(found.log_weights[kept], smooth, values[:, 4], scale * values[:, 5])
+        return replace(chosen[best], scale=chosen[best].scale * math.exp(float(centre - logs[best].mean()) + raised)), known
 
 
-def _whitened(curves: Sequence[_Curves], law: Noise, factors: Tensor) -> list[WhitenedFit]:
-    return [WhitenedFit.of(c.near, law, c.rows, c.bend, factors[c.place]) for c in curves]
-
-
-def _factor_of_repeats(fits: Sequence[Neighbourhood], law: Noise, prior: FrameNoisePrior) -> float:
-    """:func:`interval_factor` where the law is known from repeats: deviations of their mean from the fit."""
-    curves = _Curves.of(fits)
-    ones = torch.ones(sum(len(near.centre) for near in fits), dtype=torch.float64)
-    *columns, shares = torch.tensor(_deviations(fits, prior), dtype=torch.float64).unbind(1)
-    used = sum(int(c.rows.sum()) for c in curves)
-    level = sum(float(law.sd(c.near.centre, c.near.posterior.batch.times)[c.rows].square().sum()) for c in curves) / used
-    known = Deviations(shares.log(), columns[0].square() * level, columns[1], columns[2])
-    whitened = _whitened(curves, law, ones)
-    value = torch.stack([log_marginals(seen, c.near, known) for seen, c in zip(whitened, curves, strict=True)]).sum(0)
-    return interval_factor(whitened, replace(known, log_weights=known.log_weights + value))
+def _of_all_residuals(fits: Sequence[Neighbourhood], law: Noise) -> dict[str, Any]:
+    """The law of a shape that is most probable if all that a fit leaves is independent, and the factor for intervals."""
+    local = [LocalNoise.of(near, (law,)) for near in fits]
+    log_scale, sd = (x for x in best_scales(local))
+    scale = max(1.0, math.exp(float(log_scale)) / law.scale)  # repeats say what the least is
+    independent = replace(law, scale=law.scale * scale)
+    laws = NoiseLaws((independent,), torch.ones(1, dtype=torch.float64), sd, of_residuals=False)
+    white = replace(independent, correlation_time=0.0)
+    return {"independent": (independent, laws), "widened": interval_factor(fits, white) if scale > _MISSED else 1.0}
 
 
 def _deviations(fits: Sequence[Neighbourhood], prior: FrameNoisePrior) -> list[tuple[float, float, float, float]]:

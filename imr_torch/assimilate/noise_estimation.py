@@ -2,9 +2,9 @@
 
 All models are fitted with the noise law as given; the noise of single frames is inferred about the best model, beside any
 smooth misfit (:mod:`imr_torch.assimilate.frame_noise`); all models are fitted again with it. Where a model misses the data,
-the noise stays that of the camera, and is enlarged for what the residuals have in common. Only residuals and sensitivities of
-the earlier fits are used, so these end within a tenth of a nat of a minimum. What the uncertainty of the law means for gel and
-evidence is left to :func:`imr_torch.assimilate.weigh`.
+fits take all that they leave for independent, and the last ones are widened for what the residuals have in common. Only
+residuals and sensitivities of the earlier fits are used, so these end within a tenth of a nat of a minimum. What the
+uncertainty of the law means for gel and evidence is left to :func:`imr_torch.assimilate.weigh`.
 """
 
 from dataclasses import replace
@@ -85,7 +85,8 @@ def assimilate_estimating_noise(
 
     result = fit(batch, 0, near)
     for number in range(1, rounds + 1):
-        batch = with_inferred_noise(replace(result.batch, experiments=with_scatter(result)), result, law, simulator)
+        scattered = replace(result.batch, experiments=with_scatter(result))
+        batch = with_inferred_noise(scattered, result, law, simulator, widen=number == rounds)
         if progress:
             progress(f"noise {batch.noise}")
         result = fit(batch, number, result)
@@ -98,7 +99,7 @@ def _coarse(options: SearchOptions) -> SearchOptions:
 
 
 def with_inferred_noise(
-    batch: ExperimentBatch, result: Assimilation, prior: FrameNoisePrior, simulator: Simulator
+    batch: ExperimentBatch, result: Assimilation, prior: FrameNoisePrior, simulator: Simulator, *, widen: bool
 ) -> ExperimentBatch:
     """A batch with the noise of its curves as inferred about the model of lowest cost; as it was where these tell too little.
 
@@ -107,6 +108,8 @@ def with_inferred_noise(
         result: the fits.
         prior: of the law.
         simulator: makes the bubbles.
+        widen: whether it is enlarged so that intervals are right; noise is inferred about fits without that, which would pass
+            beside curves that the model misses.
     """
     if not bool((~batch.collapse).any()):
         return batch
@@ -114,7 +117,7 @@ def with_inferred_noise(
     if not determines_noise(best, curves):
         return batch
     near = Posterior(best.prior, curves, simulator).neighbourhood(best.point)
-    return infer_frame_noise(near, prior).for_intervals.applied(batch)
+    return infer_frame_noise(near, prior).for_fits(widen=widen).applied(batch)
 
 
 def noise_nodes(result: Assimilation, simulator: Simulator) -> NoiseNodes | None:

@@ -7,12 +7,12 @@ from itertools import product
 
 import torch
 
+from imr_torch.assimilate.widening import CORRELATION_TIMES, INDEPENDENT
 from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
 from imr_torch.observe.noise import TIE
 
 _FLOORS = tuple(2.0 ** (k / 4.0) for k in range(27))  # times the floor of the law that is begun with
-_TIMES = (0.0, *(0.01 * 2.0 ** (k / 4.0) for k in range(34)))  # correlation times, t*
-_INDEPENDENT = 0.25  # prior probability of independent frames
+_TIMES = (0.0, *CORRELATION_TIMES)
 
 
 def law_of_repeats(batches: Sequence[ExperimentBatch], law: Noise) -> tuple[Noise, NoiseLaws]:
@@ -37,7 +37,7 @@ def law_of_repeats(batches: Sequence[ExperimentBatch], law: Noise) -> tuple[Nois
     gaps, sizes = any(e.has_gaps for e in curves), sum(float(batch.sizes.sum()) for batch in batches)
     best, found = -math.inf, law
     for time in (0.0,) if gaps else _TIMES:
-        share = _INDEPENDENT if time == 0.0 else (1.0 - _INDEPENDENT) / (len(_TIMES) - 1)
+        share = INDEPENDENT if time == 0.0 else (1.0 - INDEPENDENT) / (len(_TIMES) - 1)
         laws = [replace(law, scale=1.0, floor=ratio * law.floor, correlation_time=time, widened=1.0) for ratio in _FLOORS]
         square, normaliser = torch.zeros(2, len(laws), dtype=torch.float64)
         for batch, (row, one) in product(batches, enumerate(laws)):

@@ -71,7 +71,7 @@ def predictive_band(
     if laws is None:
         sd = batch.noise.of_frames.sd(prediction, times)
     else:  # each draw with a noise law of its own
-        sd = torch.stack([law.sd(curves, times) for law, curves in zip(laws, prediction, strict=True)])
+        sd = torch.stack([law.of_frames.sd(curves, times) for law, curves in zip(laws, prediction, strict=True)])
     levels = torch.tensor(LEVELS, dtype=prediction.dtype)
     rows = []
     for e in range(prediction.shape[1]):

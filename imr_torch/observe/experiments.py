@@ -248,6 +248,14 @@ class ExperimentBatch:
         factors = [e.noise_factor if isinstance(e, Experiment) else 1.0 for e in self.experiments]
         return torch.tensor(factors, dtype=torch.float64)[:, None]
 
+    @property
+    def of_frames(self) -> "ExperimentBatch":
+        """The same data with the noise of single frames, where fits were made with that of all that they leave."""
+        if self.noise_laws is None or self.noise_laws.frames is None:
+            return replace(self, noise=self.noise.of_frames)
+        frames = self.noise_laws.frames
+        return replace(self, noise=frames.laws[int(frames.weights.argmax())], noise_laws=frames)
+
     def log_noise_ratios(
         self, prediction: Float[Tensor, "experiments frames"], count: int, *, generator: torch.Generator
     ) -> Float[Tensor, "draws experiments frames"]:
@@ -260,9 +268,10 @@ class ExperimentBatch:
         return torch.where(self.mask, logs + own[..., None], 0.0)
 
     def noise_interval(self, prediction: Float[Tensor, "experiments frames"]) -> list[float]:
-        """5, 50 and 95 % quantiles of the noise of the median frame at a prediction, R*."""
-        level = self.sd(prediction)[self.mask].median() / self.noise.widened
-        logs = self.log_noise_ratios(prediction, 1000, generator=torch.Generator().manual_seed(0))
+        """5, 50 and 95 % quantiles of the noise of the median single frame at a prediction, R*."""
+        frames = self.of_frames
+        level = frames.sd(prediction)[self.mask].median()
+        logs = frames.log_noise_ratios(prediction, 1000, generator=torch.Generator().manual_seed(0))
         means = logs[:, self.mask].mean(1)
         return [float(level * means.quantile(q).exp()) for q in (0.05, 0.5, 0.95)]
 

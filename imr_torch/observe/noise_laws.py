@@ -20,6 +20,7 @@ class NoiseLaws:
         weights: posterior probabilities of the laws, summing to one.
         log_scale_sds: posterior standard deviation of the logarithm of each law's scale.
         of_residuals: whether they were inferred from residuals of a fit, and not from the scatter of repeats.
+        frames: laws of the noise of single frames, where these are laws of all that a fit leaves; None where they are the same.
 
     >>> import torch
     >>> from imr_torch.observe import Noise
@@ -33,6 +34,7 @@ class NoiseLaws:
     weights: Float[Tensor, "laws"]
     log_scale_sds: Float[Tensor, "laws"]
     of_residuals: bool = True
+    frames: "NoiseLaws | None" = None
 
     def log_ratios(
         self,

@@ -100,7 +100,7 @@ def fit_shots(
                 progress(f"shots: {experiment.label}, {len(found)}/{len(labels)}, round {number + 1}")
         fits = found
         if not last:
-            current = shared_noise(fits, law, simulator)
+            current = shared_noise(fits, law, simulator, widen=number + 1 == rounds)
             if progress:
                 progress(f"noise {law if current is None else current.law}")
     weighted = []
@@ -111,8 +111,8 @@ def fit_shots(
     return tuple(weighted)
 
 
-def shared_noise(fits: Sequence[Assimilation], law: Noise, simulator: Simulator) -> FrameNoise | None:
-    """The noise of single frames, one law for all shots, each with a gel of its own, enlarged as their intervals need it.
+def shared_noise(fits: Sequence[Assimilation], law: Noise, simulator: Simulator, *, widen: bool) -> FrameNoise | None:
+    """The noise, one law for all shots, each with a gel of its own, enlarged if their intervals are to be right.
 
     None where the fits left fewer than ten degrees of freedom.
 
@@ -120,9 +120,10 @@ def shared_noise(fits: Sequence[Assimilation], law: Noise, simulator: Simulator)
         fits: of the shots.
         law: to begin with.
         simulator: makes the bubbles.
+        widen: see :func:`imr_torch.assimilate.noise_estimation.with_inferred_noise`.
     """
     pairs = [(found.fits[0], found.batch) for found in fits]
     if sum(float(batch.mask.sum()) - freedom_of(fit, batch) for fit, batch in pairs) < FEWEST_RESIDUALS:
         return None
     near = [Posterior(fit.prior, batch, simulator).neighbourhood(fit.point) for fit, batch in pairs]
-    return infer_frame_noise(near, FrameNoisePrior(law)).for_intervals
+    return infer_frame_noise(near, FrameNoisePrior(law)).for_fits(widen=widen)

@@ -110,7 +110,7 @@ def _model(fit: ModelFit, batch: ExperimentBatch, e: int, drawn: tuple[Tensor, T
     """The curve of one model in one experiment, and its residuals at the fitted frames."""
     seen = batch.mask[e]
     residual = (batch.mean - fit.prediction)[e][seen]
-    noise = (batch.noise.of_frames.sd(fit.prediction, batch.times) / batch.counts.sqrt())[e][seen]
+    noise = (batch.of_frames.sd(fit.prediction) / batch.counts.sqrt())[e][seen]
     return {
         "t_star": drawn_numbers(drawn[0][e]),
         "R_star": drawn_numbers(drawn[1][e]),

@@ -9,7 +9,6 @@ import torch
 from imr_torch.assimilate import (
     Assimilation,
     NoiseNodes,
-    Point,
     Posterior,
     SearchOptions,
     assimilate,
@@ -18,7 +17,6 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.assimilate.noise_law import LocalNoise
-from imr_torch.assimilate.widening import Deviations, WhitenedFit, interval_factor
 from imr_torch.errors import InputDataError
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws, Nuisance
 from imr_torch.select import cross_validate
@@ -192,19 +190,3 @@ def test_that_laws_of_frames_are_refused_beside_collapse_times() -> None:
     both = replace(fitted(batch), batch=replace(batch, experiments=(*batch.experiments, time)))
     with pytest.raises(InputDataError, match="error of their own; leave noise out"):
         weigh(both, SIMULATOR, seed=0, noise=nodes)
-
-
-def test_that_thinning_a_long_record_leaves_the_factor_as_it_is() -> None:
-    """What residuals have in common counts by pairs of frames, what is independent by frames."""
-    times = torch.linspace(0.05, 2.5, 300, dtype=torch.float64)
-    clean = Slow()(PART.to_si(torch.zeros(2, dtype=torch.float64)), tensor(400.0, 0.2), times).radius
-    near = Posterior(PART, ExperimentBatch((Experiment("a", (400.0, 0.2), times, clean[None]),), NOISE), Slow()).neighbourhood(
-        Point(torch.zeros(2, dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64))
-    )
-    some, one = Deviations(tensor(0.0), tensor(0.01), tensor(0.6), tensor(0.0)), torch.ones(1, dtype=torch.float64)
-    rows = torch.ones(1, 300, dtype=torch.bool)
-    bend = torch.zeros(1, 300, dtype=torch.float64)
-    whole = interval_factor([WhitenedFit.of(near, NOISE, rows, bend, one)], some)
-    thinned = interval_factor([WhitenedFit.of(near, NOISE, rows & (torch.arange(300) % 3 == 0), bend, one)], some)
-    assert whole > 5.0
-    assert thinned == pytest.approx(whole, rel=0.1)

@@ -280,9 +280,9 @@ def test_that_a_parameter_that_rises_with_the_bubble_is_named() -> None:
 def test_that_shots_that_differ_are_not_taken_for_noise() -> None:
     experiments = shots(LinearSimulator(), (2.0, 0.5), 8)
     fits = fit_shots(PART, experiments, LinearSimulator(), noise=NOISE, rounds=0, options=OPTIONS, samples=25)
-    shared = shared_noise(fits, NOISE, LinearSimulator())
+    shared = shared_noise(fits, NOISE, LinearSimulator(), widen=True)
     assert shared is not None
-    own = shared.law.of_frames
+    own = shared.laws.frames.laws[0]
     typical = [
         float(noise.sd(torch.tensor([0.5], dtype=torch.float64), torch.tensor([1.0], dtype=torch.float64)))
         for noise in (own, NOISE)
@@ -291,7 +291,7 @@ def test_that_shots_that_differ_are_not_taken_for_noise() -> None:
     one = ExperimentBatch(tuple(experiments), NOISE)
     together = assimilate(PRIOR, one, LinearSimulator(), seed=0, options=OPTIONS).fits[0]
     near = Posterior(PART, one, LinearSimulator()).neighbourhood(together.point)
-    common = infer_frame_noise(near, FrameNoisePrior(NOISE)).for_intervals.law
+    common = infer_frame_noise(near, FrameNoisePrior(NOISE)).for_fits(widen=True).law
     assert common.sd(tensor(0.5), tensor(1.0)) > 2.0 * shared.law.sd(tensor(0.5), tensor(1.0))  # one gel for all shots
 
 

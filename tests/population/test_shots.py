@@ -24,7 +24,7 @@ def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_t
         shots = [ExperimentBatch((shot,), NOISE) for shot in batch.experiments]
         fits = [assimilate(BELIEF, shot, Slow(), seed=0, options=OPTIONS).fits[0] for shot in shots]
         near = [Posterior(PART, shot, Slow()).neighbourhood(fit.point) for shot, fit in zip(shots, fits, strict=True)]
-        law = infer_frame_noise(near, FrameNoisePrior(NOISE)).for_intervals.law
+        law = infer_frame_noise(near, FrameNoisePrior(NOISE)).for_fits(widen=True).law
         assert law.correlation_time == 0.0
         for kind, scale in (("independent", law.scale / law.widened), ("widened", law.scale)):
             for shot, gel in zip(shots, gels, strict=True):
