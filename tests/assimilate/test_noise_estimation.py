@@ -37,7 +37,7 @@ def test_that_the_scale_is_found_and_intervals_widen_with_it(repeats: int) -> No
     batch = filmed(3.0, repeats)
     stated, found = fitted(batch, 0), fitted(batch, 2)
     assert stated.batch.noise == NOISE
-    level = found.batch.noise.of_frames.sd(tensor(0.5), TIMES).mean() / NOISE.sd(tensor(0.5), TIMES).mean()
+    level = found.batch.of_frames.noise.sd(tensor(0.5), TIMES).mean() / NOISE.sd(tensor(0.5), TIMES).mean()
     assert float(level) == pytest.approx(3.0, rel=0.15)  # 180 residuals: 5 % by chance
     wider = (found["nhkv"].chol.diagonal() / stated["nhkv"].chol.diagonal()).mean()
     assert float(wider) == pytest.approx(3.0, rel=0.2)
@@ -50,18 +50,18 @@ def test_that_noise_is_estimated_from_repeats_with_gaps_too() -> None:
     batch = ExperimentBatch((replace(batch.experiments[0], radius=radius), *batch.experiments[1:]), NOISE)
     whole, gaps = fitted(filmed(1.0, 8), 2), fitted(batch, 2)
     assert gaps["nhkv"].certificate.converged
-    assert gaps.batch.noise.of_frames.scale == pytest.approx(whole.batch.noise.of_frames.scale, rel=0.05)
+    assert gaps.batch.of_frames.noise.scale == pytest.approx(whole.batch.of_frames.noise.scale, rel=0.05)
     apart = (gaps["nhkv"].mean - whole["nhkv"].mean).abs()
     assert bool((apart < 0.5 * whole["nhkv"].chol.norm(dim=1)).all())  # 10 frames of 1440 are missing
 
 
 def test_that_a_model_that_misses_the_data_keeps_the_noise_of_the_camera_and_pays_in_its_intervals() -> None:
     batch = filmed(1.0, 8)
-    wrong, right = (fitted(batch, 2, (model,)).batch.noise for model in ("newtonian", "nhkv"))
-    for law in (wrong, right):
-        assert law.of_frames.scale == pytest.approx(1.0, rel=0.15)
-    assert wrong.widened > 2.0 > right.widened
-    assert fitted(batch, 2, ("newtonian", "nhkv")).batch.noise.scale == pytest.approx(right.scale, rel=1e-3)
+    wrong, right = (fitted(batch, 2, (model,)).batch for model in ("newtonian", "nhkv"))
+    for found in (wrong, right):
+        assert found.of_frames.noise.scale == pytest.approx(1.0, rel=0.15)
+    assert wrong.noise.scale > 2.0 * right.noise.scale
+    assert fitted(batch, 2, ("newtonian", "nhkv")).batch.noise.scale == pytest.approx(right.noise.scale, rel=1e-3)
 
 
 def test_that_only_the_last_fits_are_held_to_the_tolerances_and_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
