@@ -1,6 +1,6 @@
 """Single curves whose noise must be inferred: false gaps, the noise, names of causes, intervals.
 
-  python benchmarks/single_curves.py run --sets 200 --json single_curves.jsonl [--only none,noise]
+  python benchmarks/single_curves.py run --sets 200 --json single_curves.jsonl [--only published,slow]
   python benchmarks/single_curves.py labelled FOLDER --json single_curves.jsonl
   python benchmarks/single_curves.py table --json single_curves.jsonl
 

@@ -1,8 +1,9 @@
 """Curves of a linear model with residuals that drift over the event, as what a model misses does."""
 
+from dataclasses import replace
+
 import torch
 
-from imr_torch.assimilate.matern import MATERN
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch
 from tests.linear import NOISE, LinearSimulator, prior, tensor
@@ -20,9 +21,7 @@ class Slow(LinearSimulator):
 
 
 def drifting(seed: int, *, alone: bool = False) -> tuple[ExperimentBatch, torch.Tensor]:
-    """Four curves of a gel of the prior, or each of its own gel, with residuals that drift by the law's own size.
-
-    The correlation of the drift falls to 1/e in .4; noise of single frames is a fifth of it.
+    """Four curves of a gel of the prior, or each of its own gel, with residuals that drift; their law states no correlation.
 
     Returns:
         The curves, and the whitened gel, of each curve where they differ.
@@ -31,9 +30,7 @@ def drifting(seed: int, *, alone: bool = False) -> tuple[ExperimentBatch, torch.
     gel = torch.randn(4 if alone else 1, 2, generator=source, dtype=torch.float64)
     times = torch.linspace(0.05, 2.5, 40, dtype=torch.float64)
     clean = Slow()(PART.to_si(gel), tensor(400.0, 0.2), times).radius
-    lag = MATERN / 0.4 * (times[:, None] - times).abs()
-    smooth = NOISE.floor**2 * (1.0 + lag) * torch.exp(-lag) + 1e-12 * torch.eye(len(times))
-    root = torch.linalg.cholesky(smooth + (0.2 * NOISE.floor) ** 2 * torch.eye(len(times)))
-    drift = (root @ torch.randn(len(times), 4, generator=source, dtype=torch.float64)).mT
-    shots = tuple(Experiment(f"{k}", (400.0, 0.2), times, (clean[k % len(gel)] + drift[k])[None]) for k in range(4))
+    noise = replace(NOISE, correlation_time=0.4)
+    seen = torch.stack([noise.draw(clean[k % len(gel)], times, 1, generator=source)[0] for k in range(4)])
+    shots = tuple(Experiment(f"{number}", (400.0, 0.2), times, curve[None]) for number, curve in enumerate(seen))
     return ExperimentBatch(shots, NOISE), gel if alone else gel[0]

@@ -21,7 +21,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -165,8 +164,8 @@ def infer_frame_noise(near: Neighbourhood | Sequence[Neighbourhood], prior: Fram
     prior, curves = prior or FrameNoisePrior(), [e for one in fits for e in one.posterior.batch.curves]
     if all(e.repeats > 1 for e in curves):
         law, laws = law_of_repeats([one.posterior.batch for one in fits], prior.law)
-        known = FrameNoise(law, laws, (1.0,) * len(curves), (0.0,) * len(curves))
-        return replace(known, **_of_all_residuals(fits, law))
+        independent, widened = _of_all_residuals(fits, law)
+        return FrameNoise(law, laws, (1.0,) * len(curves), (0.0,) * len(curves), independent, widened)
     grid = _Grid.of(fits, prior)
     factors = torch.ones(len(curves), dtype=torch.float64)
     sds = torch.zeros_like(factors)
@@ -359,15 +358,16 @@ class _Grid:
         return replace(chosen[best], scale=chosen[best].scale * math.exp(float(centre - logs[best].mean()) + raised)), known
 
 
-def _of_all_residuals(fits: Sequence[Neighbourhood], law: Noise) -> dict[str, Any]:
-    """The law of a shape that is most probable if all that a fit leaves is independent, and the factor for intervals."""
-    local = [LocalNoise.of(near, (law,)) for near in fits]
-    log_scale, sd = (x for x in best_scales(local))
-    scale = max(1.0, math.exp(float(log_scale)) / law.scale)  # repeats say what the least is
-    independent = replace(law, scale=law.scale * scale)
+def _of_all_residuals(fits: Sequence[Neighbourhood], law: Noise) -> tuple[tuple[Noise, NoiseLaws] | None, float]:
+    """The law of independent residuals where a fit leaves more than the scatter of repeats, and the factor for intervals."""
+    whole, _ = best_scales([LocalNoise.of(near, (law,)) for near in fits])
+    if math.exp(float(whole)) < _MISSED * law.scale:
+        return None, 1.0
+    white = replace(law, correlation_time=0.0)
+    log_scale, sd = best_scales([LocalNoise.of(near, (white,)) for near in fits])
+    independent = replace(white, scale=math.exp(float(log_scale)))
     laws = NoiseLaws((independent,), torch.ones(1, dtype=torch.float64), sd, of_residuals=False)
-    white = replace(independent, correlation_time=0.0)
-    return {"independent": (independent, laws), "widened": interval_factor(fits, white) if scale > _MISSED else 1.0}
+    return (independent, laws), interval_factor(fits, independent)
 
 
 def _deviations(fits: Sequence[Neighbourhood], prior: FrameNoisePrior) -> list[tuple[float, float, float, float]]:
